@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,30 +9,17 @@ from glsplat.extras.authoring.check.finding import Finding, note
 from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson, degrees_between
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
-__all__ = ["LYING", "PostureConfig", "arms", "cut_off", "lying", "turned"]
+__all__ = ["LYING", "arms", "cut_off", "lying", "turned"]
 
 
-@dataclass(frozen=True)
-class PostureConfig:
-    """Thresholds of the check of posture."""
-
-    note_turn_deg: float = 20.0
-    """Between the shoulders and the expected side; a note reports larger turns."""
-    max_turn_deg: float = 57.0
-    """Larger turns are refused. The network reports up to this for people turned by 45 degrees."""
-    max_lean_deg: float = 20.0
-    """Between the picture's vertical and the trunk, or the line from ankles to nose."""
-    min_arm_angle_deg: float = 14.0
-    """Between the line from shoulder to wrist and the trunk's axis."""
-    min_visibility: float = 0.5
-    """Of a landmark that is in the picture."""
-    min_ankle_visibility: float = 0.6
-    """Of an ankle, if the person reaches the picture's lower edge."""
-    min_forehead_fraction: float = 0.065
-    """Height of the picture above the nose, as a fraction of the length from nose to ankles."""
-    max_cut_side_fraction: float = 0.5
-    """Of the person's height that may touch the picture's left or right edge."""
-
+_NOTE_TURN_DEG = 20.0  # between the shoulders and the expected side
+_MAX_TURN_DEG = 57.0  # the network reports up to this for people turned by 45 degrees
+_MAX_LEAN_DEG = 20.0  # between the vertical and the trunk, or the line from ankles to nose
+_MIN_ARM_ANGLE_DEG = 14.0  # between the line from shoulder to wrist and the trunk's axis
+_MIN_VISIBILITY = 0.5  # of a landmark that is in the picture
+_MIN_ANKLE_VISIBILITY = 0.6  # if the person reaches the picture's lower edge
+_MIN_FOREHEAD_FRACTION = 0.065  # height of the picture above the nose, of the length from nose to ankles
+_MAX_CUT_SIDE_FRACTION = 0.5  # of the person's height, at the picture's left or right edge
 
 _SIDES = ("left", "right")
 _FOOT = ("ankle", "heel", "foot_index")
@@ -45,7 +30,7 @@ _ALONG, _HIDDEN = "hangs along the body", "hidden"
 LYING = Finding("lying", "the person does not stand upright in the picture; turn the picture, and stand straight")
 
 
-def cut_off(person: DetectedPerson, mask: NDArray[np.bool_], view: str | None, config: PostureConfig) -> Finding | None:
+def cut_off(person: DetectedPerson, mask: NDArray[np.bool_], view: str | None) -> Finding | None:
     """Return the finding of parts beyond the picture's edges: half a person is refused, feet and elbows are noted."""
     height, width = mask.shape
     points = dict(zip(LANDMARKS, person.body.points, strict=True))
@@ -53,19 +38,19 @@ def cut_off(person: DetectedPerson, mask: NDArray[np.bool_], view: str | None, c
     legs = {place: [f"{side}_{joint}" for side in _SIDES] for joint, place in _LEGS}
     beyond = {place: max(points[name][1] for name in names) >= height for place, names in legs.items()}
     ankles = max(sure[name] for name in legs["shins"])
-    beyond["shins"] |= bool(mask[-2:].sum() > 2) and ankles < config.min_ankle_visibility
-    if any(beyond[place] or max(sure[name] for name in names) < config.min_visibility for place, names in legs.items()):
+    beyond["shins"] |= bool(mask[-2:].sum() > 2) and ankles < _MIN_ANKLE_VISIBILITY
+    if any(beyond[place] or max(sure[name] for name in names) < _MIN_VISIBILITY for place, names in legs.items()):
         least = {place: min(sure[name] for name in names) for place, names in legs.items()}
-        end = next(place for place in legs if beyond[place] or least[place] < config.min_visibility)
+        end = next(place for place in legs if beyond[place] or least[place] < _MIN_VISIBILITY)
         return Finding("cut_off", f"the person is seen down to the {end} only; show them whole, shoes included")
     long = max(points[f"{side}_ankle"][1] for side in _SIDES) - points["nose"][1]
     top = bool(mask[:2].sum() > 2 or points["nose"][1] < 0)
-    faceless = view == "front" and person.face.presence < config.min_visibility
-    if top and (faceless or points["nose"][1] < config.min_forehead_fraction * long):
+    faceless = view == "front" and person.face.presence < _MIN_VISIBILITY
+    if top and (faceless or points["nose"][1] < _MIN_FOREHEAD_FRACTION * long):
         return Finding("cut_off", f"the head reaches out of the picture; {_LEAVE_ROOM}")
     rows = max(mask[:, :2].any(axis=1).sum(), mask[:, -2:].any(axis=1).sum())
     trunk = [points[f"{side}_{joint}"][0] for side in _SIDES for joint in ("shoulder", "hip")]
-    if rows > config.max_cut_side_fraction * max(mask.any(axis=1).sum(), 1) or min(trunk) < 0 or max(trunk) > width:
+    if rows > _MAX_CUT_SIDE_FRACTION * max(mask.any(axis=1).sum(), 1) or min(trunk) < 0 or max(trunk) > width:
         return Finding("cut_off", f"a side of the person reaches out of the picture; {_LEAVE_ROOM}")
     parts = {
         "the top of the head": top,
@@ -80,25 +65,25 @@ def cut_off(person: DetectedPerson, mask: NDArray[np.bool_], view: str | None, c
     return note("cut_off", f"{' and '.join(cut)} {reach} out of the picture, what is missing is guessed; {_LEAVE_ROOM}")
 
 
-def lying(person: DetectedPerson, config: PostureConfig) -> Finding | None:
+def lying(person: DetectedPerson) -> Finding | None:
     """Return LYING if the trunk, or the line from ankles to nose, is far from upright."""
     points = person.body.points
     ups = (
         points[[11, 12]].mean(axis=0) - points[[23, 24]].mean(axis=0),
         points[0] - points[[LANDMARKS.index(f"{side}_ankle") for side in _SIDES]].mean(axis=0),
     )
-    return LYING if max(abs(np.degrees(np.arctan2(up[0], -up[1]))) for up in ups) > config.max_lean_deg else None
+    return LYING if max(abs(np.degrees(np.arctan2(up[0], -up[1]))) for up in ups) > _MAX_LEAN_DEG else None
 
 
-def turned(person: DetectedPerson, view: str, config: PostureConfig) -> Finding | None:
+def turned(person: DetectedPerson, view: str) -> Finding | None:
     """Return the finding of a person who shows another side than ``view``."""
 
     def away(name: str) -> float:
         return degrees_between(float(np.degrees(person.turn)), SIDES[name])
 
-    noted, limit = config.note_turn_deg, config.max_turn_deg
+    noted, limit = _NOTE_TURN_DEG, _MAX_TURN_DEG
     if view in ("left", "right"):  # seen from the side, the network's depths are rough
-        noted = limit = 2 * config.note_turn_deg
+        noted = limit = 2 * _NOTE_TURN_DEG
     angle = away(view)
     if angle <= noted:
         return None
@@ -111,7 +96,7 @@ def turned(person: DetectedPerson, view: str, config: PostureConfig) -> Finding 
     return Finding("turned", f"the person is turned by {angle:.0f} degrees; stand straight before the camera")
 
 
-def arms(person: DetectedPerson, view: str | None, config: PostureConfig) -> Finding | None:
+def arms(person: DetectedPerson, view: str | None) -> Finding | None:
     """Return the note of arms over or along the body, which hide parts of it."""
     if view not in ("front", "back"):
         return None
@@ -122,8 +107,8 @@ def arms(person: DetectedPerson, view: str | None, config: PostureConfig) -> Fin
         arm = body.point(f"{side}_wrist") - body.point(f"{side}_shoulder")
         out = np.sign((body.point(f"{side}_shoulder") - body.point(f"{other}_shoulder"))[0])
         angle = np.degrees(np.arctan2(arm[0], arm[1]) - np.arctan2(down[0], down[1])) * out
-        if (angle + 180) % 360 - 180 < config.min_arm_angle_deg:
-            where[side] = _place(person, side, view, config)
+        if (angle + 180) % 360 - 180 < _MIN_ARM_ANGLE_DEG:
+            where[side] = _place(person, side, view)
     if not where:
         return None
     if len(set(where.values())) == 1 and len(where) == 2:
@@ -138,10 +123,10 @@ def arms(person: DetectedPerson, view: str | None, config: PostureConfig) -> Fin
     return note("arms", f"{text}: what that hides is guessed; hold both arms well away from the body, palms down")
 
 
-def _place(person: DetectedPerson, side: str, view: str, config: PostureConfig) -> str:
+def _place(person: DetectedPerson, side: str, view: str) -> str:
     """Return the place of a hand whose arm lies against the body, in words."""
     body = person.body
-    if body.visible[LANDMARKS.index(f"{side}_wrist")] < config.min_visibility:
+    if body.visible[LANDMARKS.index(f"{side}_wrist")] < _MIN_VISIBILITY:
         return _HIDDEN
     shoulders, hips = (body.points[[low, low + 1]].mean(axis=0) for low in (11, 23))
     axis = hips - shoulders

@@ -279,7 +279,7 @@ def fit_clothes(
         known, far = np.concatenate(vertices), np.concatenate(wanted)
         if many_views:
             known, far = _medians(known, far)
-        offsets = smooth_offsets(body, known, far, np.ones(len(known)), offsets)
+        offsets = smooth_offsets(body, known, far, offsets)
         if many_views:
             offsets = np.where(soles, np.minimum(offsets, _MAX_SOLE_M), offsets)
     return offsets

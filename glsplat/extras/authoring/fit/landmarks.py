@@ -13,36 +13,12 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body, Points
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["LANDMARKS", "LANDMARK_COUNT", "Landmarks", "landmarks"]
+__all__ = ["LANDMARK_COUNT", "Landmarks", "landmarks"]
 
 F64 = NDArray[np.float64]
 
 LANDMARK_COUNT = 33
 """Number of the network's landmarks."""
-
-_LEFT_LANDMARKS = {  # joint of the left side -> number of its landmark; the right one's is one more
-    "left_shoulder": 11,
-    "left_elbow": 13,
-    "left_wrist": 15,
-    "left_pinky1": 17,
-    "left_index1": 19,
-    "left_thumb2": 21,
-    "left_hip": 23,
-    "left_knee": 25,
-    "left_ankle": 27,
-    "left_foot": 31,
-}
-LANDMARKS: tuple[tuple[int, str], ...] = (
-    (0, "head"),  # the nose
-    *((number, "head") for number in (2, 5, 7, 8, 9, 10)),  # eyes, ears, mouth's corners
-    *(
-        (number + side, ("left", "right")[side] + name[4:])
-        for name, number in _LEFT_LANDMARKS.items()
-        for side in (0, 1)
-    ),
-    *((29 + side, ("left_ankle", "right_ankle")[side]) for side in (0, 1)),  # heels
-)
-"""Number and joint of each landmark that is used."""
 
 
 def _mirror_number(number: int) -> int:

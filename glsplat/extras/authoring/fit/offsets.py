@@ -70,10 +70,10 @@ def sole_vertices(body: Body) -> NDArray[np.bool_]:
     return np.asarray(np.isin(body.part, feet) & down)
 
 
-def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64, start: F64 | None = None) -> F64:
+def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, start: F64 | None = None) -> F64:
     """Return offsets [V] in metres that are close to ``wanted`` [K] at ``vertices`` [K] and smooth elsewhere.
 
-    ``weights`` [K] are relative to 1; ``start`` [V] is a first guess.
+    ``start`` [V] is a first guess.
     """
     limits = [
         next((limit for part, limit in _MAX_OFFSET_M.items() if part in name), OFFSET_RANGE_M[1])
@@ -82,8 +82,8 @@ def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights:
     most = np.array(limits)[body.part]
     least = np.maximum(OFFSET_RANGE_M[0], -most)
     pull, target = np.zeros(len(body.vertices)), np.zeros(len(body.vertices))
-    np.add.at(pull, vertices, weights)
-    np.add.at(target, vertices, weights * wanted.clip(least[vertices], most[vertices]))
+    np.add.at(pull, vertices, 1.0)
+    np.add.at(target, vertices, wanted.clip(least[vertices], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
     head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")])
     hair = head & body.skin & (body.vertices[:, 2] < _EAR_Z_M)

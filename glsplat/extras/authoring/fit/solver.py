@@ -86,9 +86,9 @@ class BodySolver:
         block = x[BETAS + view * self._block :][: self._block]
         return PosedBody(self.body, prior.HINGES, self.views[view].facing, x[:BETAS], block[:PLACE], block[PLACE:])
 
-    def angles(self, view: int) -> F64:
+    def angles(self, view: int, x: F64 | None = None) -> F64:
         """Return the fitted angles [D] of a view, radians."""
-        return self.x[BETAS + view * self._block + PLACE :][: len(prior.MEAN)]
+        return (self.x if x is None else x)[BETAS + view * self._block + PLACE :][: len(prior.MEAN)]
 
     def camera_height(self, view: int) -> float:
         """Return the height of a view's camera above the soles, in fractions of the stature."""
@@ -204,10 +204,7 @@ class BodySolver:
     def _landmark_rows(self, index: int, view: View, posed: PosedBody, derive: bool) -> tuple[F64, F64]:
         trust = view.visibility[self.table.numbers].clip(_MIN_VISIBILITY) * self._trust[index]
         weight = np.sqrt(trust) / (self.table.errors * view.figure * _error_factor(view))
-        if derive:
-            pixels, moves = _pixels_and_moves(posed, self._marks, view)
-        else:
-            pixels, moves = projected(posed.points(self._marks), view.focal, view.centre)
+        pixels, moves = _project(posed, self._marks, view, derive)
         residual = (pixels - self._targets[index]) * weight[:, None]
         return residual.ravel(), (moves * weight[:, None, None]).reshape(residual.size, -1)
 
@@ -215,10 +212,7 @@ class BodySolver:
         outline = self._rims[index]
         assert outline is not None
         rim, points, weights = outline
-        if derive:
-            pixels, moves = _pixels_and_moves(posed, points, view)
-        else:
-            pixels, moves = projected(posed.points(points), view.focal, view.centre)
+        pixels, moves = _project(posed, points, view, derive)
         residual = (((pixels - rim.pixels) * rim.normals).sum(axis=1) - rim.gaps) * weights
         return residual, np.einsum("kcp,kc->kp", moves, rim.normals * weights[:, None])
 
@@ -238,13 +232,12 @@ class BodySolver:
     def _pose_rows(self, index: int, x: F64) -> tuple[F64, F64]:
         """Return the equations of the pose's prior."""
         count = len(prior.MEAN)
-        angles = x[BETAS + index * self._block + PLACE :][:count]
         moves = np.zeros((count, BETAS + self._block))
         mean, factor = self._poses[index]
         if self._known is not None:
             mean, factor = self._known.angles, np.diag(1 / np.minimum(self._stance.spread, _POSE_CHANGE_SD_RAD))
         moves[:, BETAS + PLACE :] = factor
-        return factor @ (angles - mean), moves
+        return factor @ (self.angles(index, x) - mean), moves
 
     def _bone_rows(self, posed: PosedBody, bones: F64, derive: bool) -> tuple[F64, F64]:
         """Return the equations of arms that point along a network's ``bones`` [4, 3], unit vectors."""
@@ -260,10 +253,9 @@ class BodySolver:
     def _tie_rows(self, index: int, x: F64) -> tuple[F64, F64]:
         """Return the equations of a small change of pose from the first view to a further one."""
         count = len(prior.MEAN)
-        angles, first = (x[BETAS + view * self._block + PLACE :][:count] for view in (index, 0))
         moves = np.zeros((count, BETAS + self._block))
         moves[:, BETAS + PLACE :] = np.eye(count) / _POSE_CHANGE_SD_RAD
-        return (angles - first) / _POSE_CHANGE_SD_RAD, moves
+        return (self.angles(index, x) - self.angles(0, x)) / _POSE_CHANGE_SD_RAD, moves
 
     def _tie_slope(self) -> F64:
         """Return the derivatives [D, 6 + D] of ``_tie_rows`` by the first view's unknowns."""
@@ -298,6 +290,7 @@ def _error_factor(view: View) -> float:
     return float(_SIDE_ERROR_FACTOR + (straight - _SIDE_ERROR_FACTOR) * np.round(cos, 15) ** 2)
 
 
-def _pixels_and_moves(posed: PosedBody, points: Points, view: View) -> tuple[F64, F64]:
-    where, moves = posed.derivatives(points)
+def _project(posed: PosedBody, points: Points, view: View, derive: bool) -> tuple[F64, F64]:
+    """Return pixels [K, 2] of points and, if asked, their derivatives [K, 2, BETAS + 6 + D]."""
+    where, moves = posed.derivatives(points) if derive else (posed.points(points), None)
     return projected(where, view.focal, view.centre, moves)

@@ -75,7 +75,8 @@ def _face_in(picture: NDArray[np.uint8], crop: Crop) -> Face:
         points = np.column_stack([flat, marks[:, 2] * crop.side / _INPUT_PX])
         if presence < 0.2 or step == _CROP_ROUNDS - 1:
             break
-        crop = _crop_around(flat)
+        eyes = flat[263] - flat[33]
+        crop = Crop.around(flat, float(np.arctan2(eyes[1], eyes[0])), 1.5)
     return Face(points, presence, crop)
 
 
@@ -96,14 +97,3 @@ def _landmarks(picture: NDArray[np.uint8], crop: Crop) -> tuple[NDArray[np.float
     """Return landmarks [468, 3] in the crop's input pixels, and the probability that it shows a face."""
     values = sorted(network("face_landmark")(crop.cut(picture, _INPUT_PX)), key=len)  # output names vary by version
     return values[1].reshape(468, 3).astype(np.float64), float(sigmoid(values[0])[0])
-
-
-def _crop_around(points: NDArray[np.float64]) -> Crop:
-    """Return the square around a face's landmarks [468, 2] that the network expects, eyes level."""
-    eyes = points[263] - points[33]
-    turn = float(np.arctan2(eyes[1], eyes[0]))
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    inner = points @ axes.T
-    low, high = inner.min(axis=0), inner.max(axis=0)
-    middle = ((low + high) / 2) @ axes
-    return Crop(float(middle[0]), float(middle[1]), 1.5 * max(float((high - low).max()), 1.0), turn)

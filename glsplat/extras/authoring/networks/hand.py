@@ -51,23 +51,12 @@ def find_hand(picture: NDArray[np.uint8], body: DetectedBody, side: str) -> Hand
         points = crop.to_picture(marks.reshape(21, 3)[:, :2].astype(np.float64), _INPUT_PX)
         if presence[0] < 0.2 or step == _CROP_ROUNDS - 1:
             break
-        crop = _crop_around(points)
+        along = points[[5, 9, 13]].mean(axis=0) - points[0]
+        crop = Crop.around(points[_CROP_LANDMARKS], _turn(along), 2.0, up=0.1)
     cos, sin = np.cos(crop.turn), np.sin(crop.turn)
     upright = world.reshape(21, 3).astype(np.float64)
     turned = np.column_stack([upright[:, :2] @ np.array([[cos, sin], [-sin, cos]]), upright[:, 2]])
     return Hand(points, turned, float(presence[0]), crop)
-
-
-def _crop_around(points: NDArray[np.float64]) -> Crop:
-    """Return the square around a hand's landmarks [21, 2] that the network expects, fingers up."""
-    along = points[[5, 9, 13]].mean(axis=0) - points[0]
-    turn = _turn(along)
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # rows: right and down in the crop
-    inner = points[_CROP_LANDMARKS] @ axes.T
-    low, high = inner.min(axis=0), inner.max(axis=0)
-    side = float((high - low).max())
-    middle = ((low + high) / 2 + (0, -0.1 * side)) @ axes
-    return Crop(float(middle[0]), float(middle[1]), 2.0 * max(side, 1.0), turn)
 
 
 def _turn(along: NDArray[np.float64]) -> float:

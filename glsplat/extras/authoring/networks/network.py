@@ -68,6 +68,19 @@ class Crop:
     side: float
     turn: float = 0.0
 
+    @classmethod
+    def around(cls, points: NDArray[np.float64], turn: float, factor: float, up: float = 0.0) -> Crop:
+        """Return a crop turned by ``turn``, ``factor`` times as large as the box of ``points`` [N, 2] in its axes.
+
+        ``up`` moves it by a fraction of the box's longer side.
+        """
+        axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # rows: right and down
+        inner = points @ axes.T
+        low, high = inner.min(axis=0), inner.max(axis=0)
+        side = float((high - low).max())
+        middle = ((low + high) / 2 + (0, -up * side)) @ axes
+        return cls(float(middle[0]), float(middle[1]), factor * max(side, 1.0), turn)
+
     def to_picture(self, points: NDArray[np.float64], n: int) -> NDArray[np.float64]:
         """Transform points [..., 2] in a crop of n x n pixels into pixels of the picture."""
         matrix = self._matrix(n)

@@ -92,10 +92,10 @@ def test_least_squares_descends_the_curved_valley() -> None:
 def test_offsets_meet_what_is_known_and_are_smooth_elsewhere() -> None:
     body = open_body()
     chest = np.flatnonzero(body.skin & (body.vertices[:, 1] > 0.2) & (body.vertices[:, 1] < 0.4))
-    offsets = smooth_offsets(body, chest, np.full(len(chest), 0.02), np.ones(len(chest)))
+    offsets = smooth_offsets(body, chest, np.full(len(chest), 0.02))
     assert abs(np.median(offsets[chest]) - 0.02) < 0.002 and np.abs(offsets[body.vertices[:, 1] < -0.7]).max() < 0.005
     assert offsets.min() >= -1e-9 and offsets.max() <= 0.0205
-    assert smooth_offsets(body, chest, np.full(len(chest), 9.0), np.ones(len(chest))).max() <= OFFSET_RANGE_M[1]
+    assert smooth_offsets(body, chest, np.full(len(chest), 9.0)).max() <= OFFSET_RANGE_M[1]
 
 
 FIGURE, NECK = 480.0, 100  # rows; below it nobody asks

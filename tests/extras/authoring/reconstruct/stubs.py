@@ -27,7 +27,7 @@ def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
     """The check says what stands in the dictionary for each side, and no network is asked."""
     findings: dict[str, tuple[Finding, ...]] = {}
 
-    def check(picture: Any, view: str = "front", config: Any = None, known_mask: Any = None) -> Capture:
+    def check(picture: Any, view: str = "front", known_mask: Any = None) -> Capture:
         mask = np.ones(picture.shape[:2], bool) if known_mask is None else known_mask
         nobody = any(finding.code == "nobody" for finding in findings.get(view, ()))
         return Capture(findings.get(view, ()), None if nobody else Nobody(), mask)  # type: ignore[arg-type]
