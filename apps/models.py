@@ -50,8 +50,9 @@ def _get(args: argparse.Namespace) -> int:
     if args.all and (args.name or args.archive):
         raise UsageError("--all goes with no name and no --archive: an archive holds the networks of one name")
     for source in _sources(None if args.all else args.name or catalogue.DEFAULT):
-        paths = store.get(source, args.archive, say=lambda line: print(line, flush=True))
-        print(f"{store.folder()}: {len(paths)} networks; {source.licence.file} lies beside them, {source.licence.what}")
+        paths = store.get(source, args.archive, report=lambda line: print(line, flush=True))
+        licence = source.licence
+        print(f"{store.folder()}: {len(paths)} networks; {licence.file} lies beside them, {licence.description}")
     return 0
 
 
@@ -66,7 +67,7 @@ def _list(args: argparse.Namespace) -> int:
     else:
         print(store.folder())
         for source, model, state in rows:
-            print(f"  {source.name:6} {model.name:20} {state:8} {model.bytes / 1e6:4.1f} MB  {model.what}")
+            print(f"  {source.name:6} {model.name:20} {state:8} {model.bytes / 1e6:4.1f} MB  {model.description}")
     return 0 if all(state == "here" for _, _, state in rows) else 1
 
 

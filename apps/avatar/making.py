@@ -16,7 +16,7 @@ from pathlib import Path
 from glsplat.avatar import Avatar, splats_of
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, without_useless_cones
 from glsplat.extras.authoring.finish.levels import MIN_LEVEL_SPLATS, with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
@@ -156,7 +156,7 @@ def make(args: argparse.Namespace) -> int:
     else:
         mesh = read_obj_person(args.person, read_body(args.body))
     if args.steps and not available():
-        print(f"glsplat avatar make: {MISSING}", file=sys.stderr)
+        print(f"glsplat avatar make: {NUMBA_MISSING}", file=sys.stderr)
     reported: list[str] = []
     _report(args.person, diagnostics(mesh, scale=args.extra_scale), reported)  # before the long computation
     with progress_bar() as show:

@@ -12,8 +12,8 @@ from typing import Any
 
 from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
-from glsplat.extras.authoring.compute.compiled import MISSING, available
-from glsplat.extras.authoring.compute.threads import aside, one_heap
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
+from glsplat.extras.authoring.compute.threads import run_in_background, share_heap
 from glsplat.extras.authoring.reconstruct.photos import (
     MeshReconstruction,
     Reconstruction,
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _one(args: argparse.Namespace) -> int:
     began = time.perf_counter()
-    one_heap()
+    share_heap()
     if args.debug is not None:
         make_folder(args.debug)
     if args.check:
@@ -128,7 +128,7 @@ def _one(args: argparse.Namespace) -> int:
     mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
-        maker = aside(lambda: named(args.using))  # imports in the background
+        maker = run_in_background(lambda: named(args.using))  # imports in the background
         # plugins are checked before the pictures
         if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
@@ -168,7 +168,7 @@ def _one(args: argparse.Namespace) -> int:
     if not args.json:
         _notes(shots, guessed=True)
         if not mesh and options.steps and args.using == "builtin" and not available():
-            print(f"glsplat avatar photo: {MISSING}", file=sys.stderr)
+            print(f"glsplat avatar photo: {NUMBA_MISSING}", file=sys.stderr)
     return code
 
 
@@ -256,8 +256,8 @@ def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
         views = done.made.fit.views
         facts["stature"] = round(float(done.made.fit.stature), 4)
         facts["overlap"] = [round(view.overlap, 4) for view in views]  # with the mask, a picture each
-        facts["strays"] = [round(view.strays, 3) for view in views]  # of landmarks, percent of the height
-        facts["doubts"] = [{limb: round(doubt, 3) for limb, doubt in view.doubts.items()} for view in views]
+        facts["strays"] = [round(view.landmark_error, 3) for view in views]  # of landmarks, percent of the height
+        facts["doubts"] = [{limb: round(doubt, 3) for limb, doubt in view.uncertainty.items()} for view in views]
         facts["problem"] = done.made.problem
     return facts
 

@@ -196,7 +196,7 @@ def _fitted(shot: CheckedPhoto, view: FittedView) -> Image:
     shown[solid] = (0.45 * shown[solid] + 0.55 * drawn[solid]).astype(np.uint8)
     contours, _ = cv2.findContours(frame.mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(shown, contours, -1, _OUTLINE, 1, cv2.LINE_AA)
-    return _titled(shown, f"fit: overlap {view.overlap:.1%}, landmarks {view.strays:.2f} %")
+    return _titled(shown, f"fit: overlap {view.overlap:.1%}, landmarks {view.landmark_error:.2f} %")
 
 
 def _shades(vertices: F64, faces: NDArray[np.int32]) -> F64:

@@ -10,7 +10,7 @@ from pathlib import Path
 from glsplat.avatar import Avatar
 from glsplat.data import embedded_file
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, reduced
 from glsplat.extras.authoring.sample.surface import FEWEST
 from glsplat.formats import load_splats
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     check_name(args.out)
     began = time.perf_counter()
     if args.steps and not available():
-        raise FormatError(f"{MISSING}; --steps 0 merges without it")
+        raise FormatError(f"{NUMBA_MISSING}; --steps 0 merges without it")
     avatar = load_splats(embedded_file(args.avatar))
     if not isinstance(avatar, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes")

@@ -10,7 +10,7 @@ from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError
-from glsplat.extras.authoring.compute.compiled import MISSING, available
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, MAX_FRAMES, VideoResult, from_video
 from glsplat.extras.authoring.video.film import MIN_FRAMES
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         code = write_mesh(made.content, args, began, _facts(made), words)
     if isinstance(made.content, Avatar) and options.steps and not available():
-        print(f"glsplat avatar video: {MISSING}", file=sys.stderr)
+        print(f"glsplat avatar video: {NUMBA_MISSING}", file=sys.stderr)
     if not args.json:
         for line in made.left_out:
             print(line)

@@ -43,7 +43,7 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
     # imported in the process that does the work
     from glsplat.errors import CaptureError
     from glsplat.extras.authoring.check.photos import check_photos, refuse
-    from glsplat.extras.authoring.photo.photo_file import Photo, photo_of
+    from glsplat.extras.authoring.photo.photo_file import Photo, decode_photo
     from glsplat.extras.authoring.reconstruct.photos import reconstruct
     from glsplat.extras.authoring.reconstruct.reconstructor import Options
 
@@ -51,7 +51,7 @@ def make_avatar(order: Order, progress: Progress) -> Avatar:
         if side not in order.pictures:
             return None
         try:
-            return photo_of(order.pictures[side])
+            return decode_photo(order.pictures[side])
         except FormatError as error:
             raise FormatError(f"{side} picture: {error}") from None
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.photo.photo_file import MOST_PIXELS
+from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS
 from glsplat.extras.authoring.video.film import each_frame, is_video
 from glsplat.extras.watermark.detect import WINDOW, detect
 from glsplat.extras.watermark.keys import read_watermark
@@ -83,6 +83,6 @@ def _pictures(files: list[Path]) -> Iterator[NDArray[np.uint8]]:
             picture = cv2.imdecode(data, cv2.IMREAD_COLOR)
         except cv2.error:
             picture = None
-        if picture is None or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
-            raise FormatError(f"{path}: expected a clip, or a picture of at most {MOST_PIXELS // 10**6} megapixels")
+        if picture is None or picture.shape[0] * picture.shape[1] > MAX_PIXELS:
+            raise FormatError(f"{path}: expected a clip, or a picture of at most {MAX_PIXELS // 10**6} megapixels")
         yield np.ascontiguousarray(picture[..., ::-1])

@@ -13,7 +13,7 @@ import pytest
 import apps.cli as cli
 from apps.avatar import making as made
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.compute.compiled import MISSING
+from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING
 from glsplat.extras.authoring.finish import levels as making
 from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
 from glsplat.extras.authoring.finish.level_merge import merged
@@ -76,7 +76,7 @@ def test_nothing_is_reduced_without_numba(
     without_numba(monkeypatch)
     assert reduce(many, "-o", tmp_path / "out.glb", "--splats", 150) == 1
     said = capsys.readouterr()
-    assert said.err == f"glsplat avatar: {MISSING}; --steps 0 merges without it\n" and said.out == ""
+    assert said.err == f"glsplat avatar: {NUMBA_MISSING}; --steps 0 merges without it\n" and said.out == ""
     assert not (tmp_path / "out.glb").exists()
 
 
@@ -94,7 +94,7 @@ def test_what_is_missing_is_said_before_an_avatar_is_made(
     monkeypatch.setattr(made, "make_avatar", lambda *words, **more: small_avatar())
     monkeypatch.setattr(made, "fitted_to_mesh", fitted_to_mesh)
     words = ["avatar", "make", str(person), "-o", str(tmp_path / "me.glb"), "--splats", "200", "--no-cones"]
-    line = f"glsplat avatar make: {MISSING}\n"
+    line = f"glsplat avatar make: {NUMBA_MISSING}\n"
     assert cli.main([*words, "--steps", "7"]) == 0 and line not in capsys.readouterr().err
     without_numba(monkeypatch)
     assert cli.main([*words, "--steps", "7"]) == 0 and line in capsys.readouterr().err

@@ -93,7 +93,7 @@ def learned(arms: F64, kinds: int = KINDS, seed: int = 0, steps: int = 200) -> A
     own = np.eye(arms.shape[1]) * WIDEN**2
     mixture = ArmMixture(np.full(kinds, 1 / kinds), means, np.tile(np.cov(arms.T) / kinds + own, (kinds, 1, 1)))
     for _ in range(steps):
-        level = mixture.levels(arms)
+        level = mixture.log_densities(arms)
         share = np.exp(level - np.logaddexp.reduce(level, axis=1)[:, None])
         count = share.sum(axis=0) + 1e-9
         means = share.T @ arms / count[:, None]
@@ -107,9 +107,11 @@ def with_others(mixture: ArmMixture, share: float = OTHERS, grow: float = WIDER)
     """The mixture with one kind more, as wide as all of it: hands on hips are hardly in the pack."""
     mean = mixture.shares @ mixture.means
     off = mixture.means - mean
-    spread = np.einsum("k,kij->ij", mixture.shares, mixture.spreads + off[:, :, None] * off[:, None])
+    spread = np.einsum("k,kij->ij", mixture.shares, mixture.covariances + off[:, :, None] * off[:, None])
     shares = np.append(mixture.shares * (1 - share), share)
-    return ArmMixture(shares, np.vstack([mixture.means, mean]), np.concatenate([mixture.spreads, grow * spread[None]]))
+    return ArmMixture(
+        shares, np.vstack([mixture.means, mean]), np.concatenate([mixture.covariances, grow * spread[None]])
+    )
 
 
 def write_mixture(mixture: ArmMixture, path: Path, made_from: str) -> None:
@@ -118,7 +120,7 @@ def write_mixture(mixture: ArmMixture, path: Path, made_from: str) -> None:
         {
             "share": round(float(mixture.shares[k]), 4),
             "mean": [round(float(v), 3) for v in mixture.means[k]],
-            "spread": [[round(float(v), 4) for v in row] for row in mixture.spreads[k]],
+            "spread": [[round(float(v), 4) for v in row] for row in mixture.covariances[k]],
         }
         for k in np.argsort(-mixture.shares, kind="stable")
     ]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from apps.avatar.writing import progress_bar
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.open_face import matched, with_expressions, with_mouth
+from glsplat.extras.authoring.body.open_face import match_open_body, with_expressions, with_mouth
 from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
 from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
 from glsplat.extras.authoring.faces.lashes_and_hair import with_brow_hairs, with_lashes, with_strands
@@ -126,7 +126,7 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     """Return the person with a moving face, and the share of the open body's blink that closes its eyes."""
     parts = [recipe.touched(part) for part in mesh.parts if not part.name.endswith(recipe.left_out)]
     mesh = replace(mesh, parts=tuple(parts))
-    same, count = matched(mesh), len(mesh.vertices)
+    same, count = match_open_body(mesh), len(mesh.vertices)
     moving = with_expressions(mesh, same)
     assert moving.morphs is not None
     still = Pose(np.zeros((len(mesh.skeleton), 3)), expression=recipe.resting())

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from glsplat.extras.authoring.check.capture import check_capture
-from glsplat.extras.authoring.photo.photo_file import photo_of
+from glsplat.extras.authoring.photo.photo_file import decode_photo
 from tests.extras.authoring.captures import Capture, capture
 from tests.extras.authoring.check.test_capture import BAD
 
@@ -116,7 +116,7 @@ def main(folder: Path) -> None:
     good = []
     for name, caption in GOOD.items():
         person = capture(name)
-        picture = photo_of(EDITS[name](person)[0]).picture if name in EDITS else person.picture
+        picture = decode_photo(EDITS[name](person)[0]).picture if name in EDITS else person.picture
         findings = check_capture(picture).findings
         assert not findings, (name, findings)
         good.append(tile(picture, caption))

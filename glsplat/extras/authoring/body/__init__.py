@@ -1,1 +1,1 @@
-"""The open body that every person is made of: its mesh, its face, the lining of its mouth, its segments."""
+"""The embedded body that all people are fitted with: its mesh, its face, the lining of its mouth, its segments."""

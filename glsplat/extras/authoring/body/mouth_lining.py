@@ -1,4 +1,4 @@
-"""The lining of the open body's mouth, which its skin goes on into: where it begins, and how deep it goes."""
+"""Find the lining of the open body's mouth, which continues its skin: its rim, and the depth behind it."""
 
 from __future__ import annotations
 
@@ -20,49 +20,47 @@ __all__ = ["Lining", "mouth_lining"]
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_MIDDLE = (0.0, 0.82, 0.10)  # metres: a place within the open body's mouth
-_LIPS = 0.007  # metres about the rim, as far as lips reach
-_JAW = 0.5  # of the way that the farthest vertex of the rim goes as the jaw opens: what goes farther is the lower lip's
+_MOUTH_CENTRE_M = (0.0, 0.82, 0.10)  # a point within the open body's mouth
+_LIP_WIDTH_M = 0.007  # from the rim
+_LOWER_LIP_FRACTION = 0.5  # of the largest move of the rim as the jaw opens: the lower lip moves farther
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lining:
-    """Of the open body's V vertices."""
+    """The lining and the lips, as vertices of the open body (V)."""
 
-    inside: NDArray[np.bool_]  # [V] of the lining, its rim too
-    far: F64  # [V] metres from the rim, straight
-    lips: NDArray[np.bool_]  # [V] of what is seen of the lips
-    upper: Indices  # [K] of the rim, from the person's right to their left
-    lower: Indices
+    inside: NDArray[np.bool_]  # [V] the lining with its rim
+    far: F64  # [V] straight distance from the rim, metres
+    lips: NDArray[np.bool_]  # [V] the outer lips
+    upper: Indices  # [K] rim of the upper lip, from the person's right to their left
+    lower: Indices  # [K] rim of the lower lip
 
 
 @lru_cache(maxsize=1)
 def mouth_lining() -> Lining:
-    """Found once: MakeHuman's texture has the mouth's inside on an island of its own, whose shore is the rim."""
+    """Return the lining, an island of MakeHuman's texture layout whose border is the rim. Computed once."""
     body = open_body()
     places, corner = np.unique(np.rint(body.uv.reshape(-1, 2) * 1e5), axis=0, return_inverse=True)
     ends = corner.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2)
     joined = coo_array((np.ones(len(ends)), ends.T), (len(places), len(places)))
     _, island = connected_components(joined, directed=False)
-    of = island[corner.reshape(-1, 3)[:, 0]]
-    within = np.array([_middle_distance(body.vertices[body.faces[of == one]]) for one in range(of.max() + 1)])
-    skin = np.array([body.skin[body.faces[of == one]].all() for one in range(of.max() + 1)])
-    mine = of == np.flatnonzero(skin)[within[skin].argmin()]
+    island_of_face = island[corner.reshape(-1, 3)[:, 0]]
+    islands = [body.faces[island_of_face == number] for number in range(island_of_face.max() + 1)]
+    skin = np.array([body.skin[faces].all() for faces in islands])
+    centres = np.array([body.vertices[faces].reshape(-1, 3).mean(axis=0) for faces in islands])
+    distances = np.linalg.norm(centres - _MOUTH_CENTRE_M, axis=1)
+    lining = island_of_face == np.flatnonzero(skin)[distances[skin].argmin()]
     inside = np.zeros(len(body.vertices), bool)
-    inside[body.faces[mine]] = True
-    rim = np.intersect1d(body.faces[mine], body.faces[~mine])
+    inside[body.faces[lining]] = True
+    rim = np.intersect1d(body.faces[lining], body.faces[~lining])
     far, _ = cKDTree(body.vertices[rim]).query(body.vertices)
     lowered = np.linalg.norm(open_face().expressions.dense("jawOpen", len(body.vertices)), axis=1)[rim]
-    low = lowered > _JAW * lowered.max()
-    rows = [rim[which][np.argsort(body.vertices[rim[which], 0])] for which in (~low, low)]
+    low = lowered > _LOWER_LIP_FRACTION * lowered.max()
+    upper, lower = (lip[np.argsort(body.vertices[lip, 0])] for lip in (rim[~low], rim[low]))
     return Lining(
         inside=frozen(inside),
         far=frozen(far),
-        lips=frozen(~inside & body.skin & (far < _LIPS)),
-        upper=frozen(rows[0]),
-        lower=frozen(rows[1]),
+        lips=frozen(~inside & body.skin & (far < _LIP_WIDTH_M)),
+        upper=frozen(upper),
+        lower=frozen(lower),
     )
-
-
-def _middle_distance(corners: F64) -> float:
-    return float(np.linalg.norm(corners.reshape(-1, 3).mean(axis=0) - _MIDDLE))

@@ -1,4 +1,4 @@
-"""The open body's face: its expressions, teeth and tongue, carried over to people who are made of the same mesh."""
+"""Transfer the open body's expressions, teeth and tongue to people with the same mesh topology."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.body.enamel import painted
+from glsplat.extras.authoring.body.enamel import paint_teeth
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
@@ -21,41 +21,41 @@ from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["OpenFace", "matched", "of_open_body", "open_face", "with_expressions", "with_mouth"]
+__all__ = ["OpenFace", "first_vertices", "match_open_body", "open_face", "with_expressions", "with_mouth"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Offsets = Mapping[str, tuple[Indices, F64]]
 
-_SAME = 2e-4  # of a texture: coordinates that are those of one vertex
-_LEAST = 4000  # vertices of the open body that a person shares with it, at least
-_REACH = 0.03  # metres within which brows, lashes and hair follow the skin
-_STILL = 1e-5  # metres
-_ABOUT_MOUTH = ((-0.035, 0.775, 0.08), (0.035, 0.85, 0.175))  # a box of the open body, metres
-_TONGUE, _DEEP = (158, 84, 80), 0.35  # sRGB, of 255, where light falls on it; share of that at the back
+_MAX_UV_DISTANCE = 2e-4  # of the texture's side, between corners of one vertex
+_MIN_MATCHES = 4000  # vertices that a person shares with the open body
+_FOLLOW_DISTANCE_M = 0.03  # brows, lashes and hair nearer than that follow the skin
+_MIN_OFFSET_M = 1e-5
+_MOUTH_BOX_M = ((-0.035, 0.775, 0.08), (0.035, 0.85, 0.175))  # of the open body
+_TONGUE_RGB, _TONGUE_BACK_FACTOR = (158, 84, 80), 0.35  # sRGB of 255 at the tip; brightness at the back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenFace:
-    """What the embedded file has, in the open body's own space, metres."""
+    """The embedded file's arrays, in the open body's space, metres."""
 
     expressions: Morphs  # of the open body's vertices
-    mouth: F64  # [M, 3] teeth and gums
-    faces: NDArray[np.int32]  # [F, 3] of those
-    tooth: NDArray[np.bool_]  # [F] enamel, not gum
-    lower: NDArray[np.bool_]  # [M] on the jaw
-    jaw: Mapping[str, F64]  # expression -> [3, 4] how it moves the jaw
+    mouth: F64  # [M, 3] vertices of teeth and gums
+    faces: NDArray[np.int32]  # [F, 3] triangles of teeth and gums
+    tooth: NDArray[np.bool_]  # [F] true for teeth, false for gums
+    lower: NDArray[np.bool_]  # [M] vertices on the jaw
+    jaw: Mapping[str, F64]  # expression -> [3, 4] affine motion of the jaw
 
     @property
-    def whole(self) -> NDArray[np.bool_]:
-        """[F] on one jaw: gums that join both would be strings in an open mouth."""
+    def on_one_jaw(self) -> NDArray[np.bool_]:
+        """[F] the faces on one jaw; gums that join both jaws would stretch across an open mouth."""
         below = self.lower[self.faces]
         return np.asarray(below.all(axis=1) | ~below.any(axis=1))
 
 
 @lru_cache(maxsize=1)
 def open_face() -> OpenFace:
-    """The embedded file (licences beside it); read once."""
+    """Return the embedded face (licences beside the file), which is read once."""
     with resources.as_file(resources.files("glsplat.data") / "open_face.npz") as path, np.load(path) as data:
         names = tuple(map(str, data["expr_names"]))
         morphs = Morphs(
@@ -74,37 +74,37 @@ def open_face() -> OpenFace:
         )
 
 
-def matched(mesh: RiggedMesh, part: str = "body") -> Indices:
-    """[V] the open body's vertex that each vertex of the mesh is, -1 for none: those of one texture coordinate.
+def match_open_body(mesh: RiggedMesh, part: str = "body") -> Indices:
+    """Return for each vertex of the mesh [V] the open body's vertex with the same texture coordinates, or -1.
 
-    People of MakeHuman share its base mesh and its texture's layout, whatever their shape. Raises FormatError for a
-    mesh whose ``part`` has another layout.
+    People made with MakeHuman share its base mesh and texture layout. Raises FormatError if ``part`` of the mesh has
+    another layout.
     """
     body = open_body()
     tree = cKDTree(body.uv.reshape(-1, 2))
     out = np.full(len(mesh.vertices), -1, np.intp)
-    for one in mesh.parts:
-        if one.name == part:
-            distance, corner = tree.query(one.uv.reshape(-1, 2))
-            mine = distance < _SAME
-            out[one.faces.reshape(-1)[mine]] = body.faces.reshape(-1)[corner[mine]]
-    if np.count_nonzero(out >= 0) < _LEAST:
+    for candidate in mesh.parts:
+        if candidate.name == part:
+            distance, corner = tree.query(candidate.uv.reshape(-1, 2))
+            near = distance < _MAX_UV_DISTANCE
+            out[candidate.faces.reshape(-1)[near]] = body.faces.reshape(-1)[corner[near]]
+    if np.count_nonzero(out >= 0) < _MIN_MATCHES:
         raise FormatError(f'the part "{part}" needs the texture layout of MakeHuman\'s body, which this mesh has not')
     return out
 
 
-def of_open_body(mesh: RiggedMesh) -> Indices:
-    """[V] as of ``matched`` where the mesh's first vertices are the open body's."""
+def first_vertices(mesh: RiggedMesh) -> Indices:
+    """Return the result of ``match_open_body`` [V] for a mesh whose first vertices are the open body's."""
     every = np.arange(len(mesh.vertices))
     return np.where(every < len(open_body().vertices), every, -1)
 
 
 def with_expressions(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
-    """The mesh with the open body's 52 expressions; ``same`` [V] as from ``matched``.
+    """Return the mesh with the open body's 52 expressions; ``same`` [V] is the result of ``match_open_body``.
 
-    The body's vertices move as those of the open body; other parts of the head (brows, lashes, hair) follow the place
-    of the body nearest to them, within 3 cm. Eyeballs turn by their joints alone: ARKit's eyeLook shapes are
-    those of the lids. Their own space is MakeHuman's, so that they are not scaled with the head.
+    Matched vertices move as the open body's. Brows, lashes and hair follow the nearest point of the skin within 3 cm.
+    Eyeballs turn by their joints alone, because ARKit's eyeLook shapes move the lids. Offsets are not scaled with the
+    head.
     """
     face = open_face()
     balls = np.isin(open_body().part, [JOINT_NAMES.index(name) for name in EYES])
@@ -114,7 +114,7 @@ def with_expressions(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
     rest = np.setdiff1d(np.unique(mesh.faces), own)
     rest = rest[_on_head(mesh, rest)]
     _, distance, which, bary = nearest_on(mesh.vertices, skin, mesh.vertices[rest])
-    share, corners = bary * np.clip(2 - distance / (_REACH / 2), 0, 1)[:, None], skin[which]
+    share, corners = bary * np.clip(2 - distance / (_FOLLOW_DISTANCE_M / 2), 0, 1)[:, None], skin[which]
     found = {}
     for name, (rows, moves) in _offsets(face.expressions).items():
         dense = np.zeros((len(open_body().vertices), 3))
@@ -122,34 +122,36 @@ def with_expressions(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
         offsets = np.zeros((len(mesh.vertices), 3))
         offsets[own] = dense[same[own]]
         offsets[rest] = np.einsum("nk,nkc->nc", share, offsets[corners])
-        moved = np.flatnonzero(np.abs(offsets).max(axis=1) > _STILL)
+        moved = np.flatnonzero(np.abs(offsets).max(axis=1) > _MIN_OFFSET_M)
         found[name] = [(moved, offsets[moved])]
     return replace(mesh, morphs=Morphs.of(found))
 
 
 def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
-    """The mesh, which has expressions, with teeth, gums and, where it has none, a tongue; all but the tongue still.
+    """Return the mesh with teeth, gums and, if it has none, a tongue; ``same`` [V] is from ``match_open_body``.
 
-    They are set where the lips of ``mesh`` are: by the affine map that takes the open body's mouth to its own.
+    An affine map from the open body's mouth to that of ``mesh`` places them. Expressions move the lower teeth with
+    the jaw, and the tongue.
     """
     face, body = open_face(), open_body()
-    low, high = np.array(_ABOUT_MOUTH)
+    low, high = np.array(_MOUTH_BOX_M)
     near = ((body.vertices > low) & (body.vertices < high)).all(axis=1)
     own = np.flatnonzero(same >= 0)
     own = own[near[same[own]]]
     there = _affine(body.vertices[same[own]], mesh.vertices[own])
-    whole = face.whole
-    uv, enamel = painted(face.mouth, face.faces[whole], face.tooth[whole], face.lower)
+    kept = face.on_one_jaw
+    uv, enamel = paint_teeth(face.mouth, face.faces[kept], face.tooth[kept], face.lower)
     names = mesh.skeleton.names
     head = names.index("head")
     jaw = names.index("jaw") if "jaw" in names else head
     bound = np.where(face.lower, jaw, head)
-    offsets = {}
-    for name, way in face.jaw.items():
-        moved = np.flatnonzero(face.lower)
-        offsets[name] = (moved, (face.mouth[moved] @ way[:, :3].T + way[:, 3] - face.mouth[moved]) @ there[:, :3].T)
+    moved = np.flatnonzero(face.lower)
+    offsets = {
+        name: (moved, (face.mouth[moved] @ motion[:, :3].T + motion[:, 3] - face.mouth[moved]) @ there[:, :3].T)
+        for name, motion in face.jaw.items()
+    }
     teeth = face.mouth @ there[:, :3].T + there[:, 3]
-    out = _joined(mesh, teeth, bound, "teeth", face.faces[whole], uv, enamel, offsets)
+    out = _joined(mesh, teeth, bound, "teeth", face.faces[kept], uv, enamel, offsets)
     tongue = _tongue(body)
     if np.isin(tongue, same).any():
         return out
@@ -167,14 +169,14 @@ def with_mouth(mesh: RiggedMesh, same: Indices) -> RiggedMesh:
 def _joined(
     mesh: RiggedMesh,
     vertices: F64,
-    joints: Indices,  # [M] the one that moves a vertex
+    joints: Indices,  # [M] a single joint a vertex
     name: str,
     faces: NDArray[np.integer],
     uv: F64,
     texture: NDArray[np.uint8],
     offsets: Offsets,
 ) -> RiggedMesh:
-    """The mesh with one more part, whose vertices expressions move by ``offsets``."""
+    """Return the mesh with a further part, whose vertices expressions move by ``offsets``."""
     first, influences = len(mesh.vertices), mesh.joints.shape[1]
     bound = np.zeros((len(vertices), influences), np.int64)
     weights = np.zeros((len(vertices), influences))
@@ -194,16 +196,14 @@ def _joined(
 
 
 def _tongue_texture() -> NDArray[np.uint8]:
-    """[64, 2, 4] a tongue, darker towards the back, which is below."""
-    light = np.linspace(1, _DEEP, 64)[:, None, None] * np.ones((1, 2, 1))
-    return np.concatenate([np.rint(_TONGUE * light), np.full((64, 2, 1), 255)], axis=2).astype(np.uint8)
+    """Return a texture [64, 2, 4] that darkens towards the tongue's back, at the bottom."""
+    light = np.linspace(1, _TONGUE_BACK_FACTOR, 64)[:, None, None] * np.ones((1, 2, 1))
+    return np.concatenate([np.rint(_TONGUE_RGB * light), np.full((64, 2, 1), 255)], axis=2).astype(np.uint8)
 
 
 def _on_head(mesh: RiggedMesh, vertices: Indices) -> NDArray[np.bool_]:
-    names = mesh.skeleton.names
-    strongest = strongest_joint(mesh.joints, mesh.weights)[vertices]
-    held = [index for index, name in enumerate(names) if name in ("head", "jaw", "neck")]
-    return np.isin(strongest, held)
+    joints = [index for index, name in enumerate(mesh.skeleton.names) if name in ("head", "jaw", "neck")]
+    return np.isin(strongest_joint(mesh.joints, mesh.weights)[vertices], joints)
 
 
 def _tongue(body: Body) -> Indices:
@@ -220,6 +220,6 @@ def _offsets(morphs: Morphs) -> dict[str, tuple[Indices, F64]]:
 
 
 def _affine(before: F64, after: F64) -> F64:
-    """[3, 4] the affine map nearest to taking points [K, 3] to those, by least squares."""
-    held = np.concatenate([before, np.ones((len(before), 1))], axis=1)
-    return np.asarray(np.linalg.lstsq(held, after, rcond=None)[0].T)
+    """Return the affine map [3, 4] from points ``before`` [K, 3] to ``after`` [K, 3], by least squares."""
+    homogeneous = np.concatenate([before, np.ones((len(before), 1))], axis=1)
+    return np.asarray(np.linalg.lstsq(homogeneous, after, rcond=None)[0].T)

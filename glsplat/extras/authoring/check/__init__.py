@@ -1,1 +1,1 @@
-"""The check of photographs: findings about the picture and the posture."""
+"""Check photographs: findings about the picture and the posture."""

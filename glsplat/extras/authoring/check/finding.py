@@ -1,4 +1,4 @@
-"""One thing that the check of a capture has to say."""
+"""Findings of the check of a picture."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ __all__ = ["Finding", "note"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found in a capture: what refuses it, or what its avatar is guessed from."""
+    """A reason to refuse a picture, or a note on parts of its avatar that are guessed."""
 
     code: str
-    """For programs: nobody, several, cut_off, small, lying, turned, face, arms, blurred, bright, dark or mask."""
+    """Key for programs: nobody, several, cut_off, small, lying, turned, face, arms, blurred, bright, dark or mask."""
     text: str
-    """One line for people: what was found, and what to do."""
+    """One line for people: the problem, and the remedy."""
     refusal: bool = True
-    """No avatar worth having comes of it. Else a note: one does, and would be better without."""
+    """The picture is refused; otherwise the finding is a note."""
 
     @property
     def kind(self) -> str:
@@ -25,5 +25,5 @@ class Finding:
 
 
 def note(code: str, text: str) -> Finding:
-    """A finding that refuses nothing."""
+    """Return a finding that does not refuse the picture."""
     return Finding(code, text, refusal=False)

@@ -1,1 +1,1 @@
-"""Numerical tools that know nothing of people: threads, machine code by numba, two solvers."""
+"""General numerical tools: threads, functions compiled by numba, and two solvers."""

@@ -1,4 +1,4 @@
-"""numba, where it is installed: compiles functions on first use, and keeps what it compiled."""
+"""Compile functions with numba, on first use and with a cache on disk."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import importlib.util
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["MISSING", "available", "compiled"]
+__all__ = ["NUMBA_MISSING", "available", "compiled"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-MISSING = "numba is not installed, without which splats are not fitted as they could be; pip install 'glsplat[make]'"
-"""What to say where there is none."""
+NUMBA_MISSING = "numba is not installed, so splats are not fitted; pip install 'glsplat[make]'"
+"""The message for users without numba."""
 
 
 def available() -> bool:
-    """True where kernels can be compiled."""
+    """Return whether numba is installed."""
     return importlib.util.find_spec("numba") is not None
 
 
 def compiled(function: F) -> F:
-    """``function`` of numpy arrays and numbers as machine code that lets other threads run.
+    """Return ``function``, which takes numpy arrays and numbers, as machine code that releases the GIL.
 
-    Sums may be taken in another order than written (fastmath), the same one each time. Nothing is spread over threads
-    here: who calls gives each thread its part, so results do not hang on their number.
+    fastmath may reorder sums, the same way on each call. The function itself uses one thread; callers split the work,
+    so results do not depend on the number of threads.
     """
     from numba import njit
 
     options = {"nogil": True, "fastmath": {"contract", "reassoc", "arcp", "nsz", "afn"}, "error_model": "numpy"}
     try:
         made: F = njit(cache=True, **options)(function)
-    except RuntimeError:  # neither the package's folder nor the user's can be written to
+    except RuntimeError:  # neither the package's folder nor the user's cache is writable
         made = njit(**options)(function)
     return made

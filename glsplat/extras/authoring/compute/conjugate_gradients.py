@@ -1,4 +1,4 @@
-"""Sparse symmetric systems of surfaces, solved for several columns at once."""
+"""Solve sparse symmetric systems for several columns at once."""
 
 from __future__ import annotations
 
@@ -6,37 +6,37 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-__all__ = ["solved"]
+__all__ = ["conjugate_gradients"]
 
 F64 = NDArray[np.float64]
 
 
-def solved(matrix: csr_matrix, target: F64, start: F64, rtol: float = 1e-4, most: int = 300) -> F64:
-    """[V, C] x, about ``start``, of which ``matrix`` [V, V] makes ``target`` [V, C] but for ``rtol`` of its length.
+def conjugate_gradients(matrix: csr_matrix, target: F64, start: F64, rtol: float = 1e-4, max_rounds: int = 300) -> F64:
+    """Return x [V, C] that solves ``matrix`` [V, V] x = ``target`` [V, C] to a residual of ``rtol`` times ``target``.
 
-    ``matrix`` is symmetric and positive definite. Conjugate gradients with its diagonal as preconditioner, at most
-    ``most`` rounds (Golub and Van Loan, Matrix Computations, 11.5). The same bytes with any number of threads, and
-    none are kept busy: products of vectors are not BLAS's.
+    ``matrix`` is symmetric and positive definite, ``start`` [V, C] a first guess. The method is conjugate gradients
+    with a diagonal preconditioner (Golub and Van Loan, Matrix Computations, 11.5). Dot products avoid BLAS, so the
+    result has the same bytes with any number of threads.
     """
     scale = 1 / matrix.diagonal()[:, None]
-    x, rest = start.copy(), target - matrix @ start
-    enough = rtol * np.sqrt(_dots(target, target))
-    eased = scale * rest
-    along, size = eased, _dots(rest, eased)
-    for _ in range(most):
-        if (np.sqrt(_dots(rest, rest)) <= enough).all():
+    x, residual = start.copy(), target - matrix @ start
+    tolerance = rtol * np.sqrt(_dots(target, target))
+    scaled = scale * residual
+    direction, size = scaled, _dots(residual, scaled)
+    for _ in range(max_rounds):
+        if (np.sqrt(_dots(residual, residual)) <= tolerance).all():
             break
-        moved = matrix @ along
-        step = size / np.maximum(_dots(along, moved), 1e-300)
-        x += step * along
-        rest -= step * moved
-        eased = scale * rest
-        new = _dots(rest, eased)
-        along = eased + new / np.maximum(size, 1e-300) * along
+        product = matrix @ direction
+        step = size / np.maximum(_dots(direction, product), 1e-300)
+        x += step * direction
+        residual -= step * product
+        scaled = scale * residual
+        new = _dots(residual, scaled)
+        direction = scaled + new / np.maximum(size, 1e-300) * direction
         size = new
     return x
 
 
 def _dots(first: F64, second: F64) -> F64:
-    """[C] of columns."""
+    """Return the dot products [C] of the columns of two arrays [V, C]."""
     return np.asarray(np.einsum("vc,vc->c", first, second))

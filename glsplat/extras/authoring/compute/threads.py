@@ -1,4 +1,4 @@
-"""Who works on how many cores: pieces of work beside each other, and products of matrices on one."""
+"""Run work on several threads, and keep BLAS on one."""
 
 from __future__ import annotations
 
@@ -16,73 +16,72 @@ import scipy
 
 from glsplat.io.cores import cores
 
-__all__ = ["abreast", "aside", "found_once", "one_blas_thread", "one_heap"]
+__all__ = ["locked_cached_property", "map_threads", "one_blas_thread", "run_in_background", "share_heap"]
 
-_NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
+_OPENBLAS_NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
 
-# Of malloc.h: all threads share a heap, which keeps arrays of up to 32 MiB, the most there may be, and what is freed of
-# them; else every large array is memory that the kernel has to clear anew.
-_MALLOC = {-8: 1, -3: 32 << 20, -1: 256 << 20}  # M_ARENA_MAX, M_MMAP_THRESHOLD, M_TRIM_THRESHOLD
+# Options of malloc.h: M_ARENA_MAX, M_MMAP_THRESHOLD (32 MiB is the largest allowed) and M_TRIM_THRESHOLD, in bytes.
+_MALLOC_OPTIONS = {-8: 1, -3: 32 << 20, -1: 256 << 20}
 
 _lock = Lock()
-_inside: list[None] = []  # one of everybody who wants one thread
-_before: list[tuple[Callable[[int], Any], int]] = []  # how many threads there were before the first of them
+_users: list[None] = []  # one entry for each open one_blas_thread()
+_previous: list[tuple[Callable[[int], Any], int]] = []  # setters and the thread counts to restore
 
 T = TypeVar("T")
 U = TypeVar("U")
 Owner = TypeVar("Owner")
 
 
-def abreast(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:
-    """``work`` of each piece, in their order, so that sums of them do not hang on the number of threads.
+def map_threads(work: Callable[[T], U], pieces: Iterable[T]) -> list[U]:
+    """Return the results of ``work`` for all ``pieces``, in order, computed on one thread a core.
 
-    For numpy and OpenCV on large arrays, which let other threads run meanwhile. Raises what ``work`` raises.
+    Suits numpy and OpenCV on large arrays, which release the GIL. Raises what ``work`` raises.
 
-    >>> from glsplat.extras.authoring.compute.threads import abreast
-    >>> abreast(lambda n: n * n, [1, 2, 3])
+    >>> from glsplat.extras.authoring.compute.threads import map_threads
+    >>> map_threads(lambda n: n * n, [1, 2, 3])
     [1, 4, 9]
     """
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(work, pieces))
 
 
-def aside(work: Callable[[], T]) -> Callable[[], T]:
-    """Begin ``work`` on another thread; what comes back waits for its result, or raises what it raised.
+def run_in_background(work: Callable[[], T]) -> Callable[[], T]:
+    """Start ``work`` on another thread and return a function that waits for its result or raises its error.
 
-    Who drops what comes back drops the error with it, and the process does not end before ``work`` has.
+    An error is lost if that function is never called. The process does not end before ``work`` has.
 
-    >>> from glsplat.extras.authoring.compute.threads import aside
-    >>> found = aside(lambda: 6 * 7)
-    >>> found()
+    >>> from glsplat.extras.authoring.compute.threads import run_in_background
+    >>> result = run_in_background(lambda: 6 * 7)
+    >>> result()
     42
     """
-    pool = ThreadPoolExecutor(1, "glsplat-aside")
-    begun = pool.submit(work)
+    pool = ThreadPoolExecutor(1, "glsplat-background")
+    future = pool.submit(work)
     pool.shutdown(wait=False)
-    return begun.result
+    return future.result
 
 
-def one_heap() -> None:
-    """From now on this process's threads share one heap of the C library, where that is glibc; else nothing happens.
+def share_heap() -> None:
+    """Make all threads of this process share one glibc heap that keeps freed memory; other C libraries are unchanged.
 
-    Each keeps what its arrays have freed: with a heap a thread an avatar took a fifth more memory. And the heap keeps
-    it for the next array, which else cost a third of the time that the kernel takes.
+    One heap a thread takes a fifth more memory for an avatar, because each keeps what its arrays have freed. Keeping
+    freed arrays of up to 32 MiB saves the kernel from clearing their pages again.
     """
     with suppress(AttributeError, OSError, TypeError):  # other C libraries, and Windows
         library = ctypes.CDLL(None)
-        for what, value in _MALLOC.items():
-            library.mallopt(what, value)
+        for option, value in _MALLOC_OPTIONS.items():
+            library.mallopt(option, value)
 
 
-class found_once(Generic[Owner, T]):  # noqa: N801 - used as a decorator, as functools.cached_property is
-    """A property that is found at its first use and kept, by one thread while others wait for it.
+class locked_cached_property(Generic[Owner, T]):  # noqa: N801 - used as a decorator, as functools.cached_property is
+    """Decorate a method as a property that one thread computes once while others wait.
 
-    ``functools.cached_property`` has no lock since Python 3.12: threads that ask at the same time each find it.
+    ``functools.cached_property`` has no lock since Python 3.12, so concurrent threads would each compute the value.
     """
 
-    def __init__(self, find: Callable[[Owner], T]) -> None:
-        self._find, self._name = find, find.__name__
-        self.__doc__ = find.__doc__
+    def __init__(self, compute: Callable[[Owner], T]) -> None:
+        self._compute, self._name = compute, compute.__name__
+        self.__doc__ = compute.__doc__
 
     @overload
     def __get__(self, owner: None, kind: type[Owner]) -> Self: ...
@@ -93,48 +92,47 @@ class found_once(Generic[Owner, T]):  # noqa: N801 - used as a decorator, as fun
     def __get__(self, owner: Owner | None, kind: type[Owner]) -> Self | T:
         if owner is None:
             return self
-        kept = vars(owner)
-        with kept.setdefault(f"{self._name}, lock", Lock()):
-            if self._name not in kept:
-                kept[self._name] = self._find(owner)
-        kept.pop(f"{self._name}, lock", None)  # a lock cannot be copied
-        found: T = kept[self._name]
-        return found
+        values = vars(owner)
+        with values.setdefault(f"{self._name}, lock", Lock()):
+            if self._name not in values:
+                values[self._name] = self._compute(owner)
+        values.pop(f"{self._name}, lock", None)  # a lock cannot be copied
+        value: T = values[self._name]
+        return value
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Meanwhile products of matrices take one core, in the whole process: the same bytes on any number of cores.
+    """Limit OpenBLAS to one thread in the whole process, so that results have the same bytes on any number of cores.
 
-    OpenBLAS adds in another order with more threads, and these wait for the next product by running on: for many small
-    ones that is half of the time of a machine that is busy. For numpy and scipy of PyPI; nothing where they have
-    another library.
+    With more threads OpenBLAS adds in another order, and its idle threads spin between products, which takes half of
+    the time of a busy machine. Works for numpy and scipy from PyPI; other BLAS libraries are left alone.
     """
     with _lock:
-        if not _before:
+        if not _previous:
             for get, put in _openblas():
-                _before.append((put, get()))
+                _previous.append((put, get()))
                 put(1)
-        _inside.append(None)
+        _users.append(None)
     try:
         yield
     finally:
         with _lock:
-            _inside.pop()
-            while not _inside and _before:
-                put, count = _before.pop()
+            _users.pop()
+            while not _users and _previous:
+                put, count = _previous.pop()
                 put(count)
 
 
 @lru_cache(maxsize=1)
 def _openblas() -> list[tuple[Callable[[], int], Callable[[int], Any]]]:
-    """What asks and sets the number of threads of each copy of OpenBLAS that numpy and scipy brought along."""
+    """Return (get, set) of the number of threads, for each copy of OpenBLAS that numpy and scipy bring along."""
     found = []
     for package in (np, scipy):
         folder = Path(str(package.__file__)).parent
         for path in (*folder.with_name(f"{folder.name}.libs").glob("*openblas*"), *folder.glob(".dylibs/*openblas*")):
             library = ctypes.CDLL(str(path))
-            for name in _NAMES:
+            for name in _OPENBLAS_NAMES:
                 if hasattr(library, name.format("set")):
                     found.append((getattr(library, name.format("get")), getattr(library, name.format("set"))))
                     break

@@ -1,4 +1,4 @@
-"""The fitted body as a mesh on its skeleton, standing on the floor."""
+"""Build the fitted body's mesh on its skeleton, standing on the floor."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
 __all__ = ["Dressed", "dressed_mesh"]
 
-_DIGITS = 7  # of a metre: sums differ in their last bits with the number of threads, files should not
+_DECIMALS_M = 7  # so that files do not depend on the last bits of sums
 _SIDES = ("left", "right")
-_DOWN = -0.85  # cosine; a sole turns to the floor
-_LOWEST = 0.1  # share of the soles' vertices that may be mistaken
+_MAX_SOLE_NORMAL_Y = -0.85  # soles face the floor
+_FLOOR_QUANTILE = 0.1  # of the soles' heights: a shadow taken for a shoe pulls a few vertices below the floor
 
 
 class Dressed(NamedTuple):
-    """The dressed body."""
+    """The dressed body: its mesh in the zero pose, and its surface in each picture."""
 
-    mesh: RiggedMesh  # in the zero pose
-    views: tuple[FittedView, ...]  # its surface as each picture shows it
+    mesh: RiggedMesh
+    views: tuple[FittedView, ...]
 
 
 def dressed_mesh(body: Body, fit: BodyFit) -> RiggedMesh:
-    """The dressed surface in the zero pose, soles on y = 0; parts: skin, eyes, and the mouth's inside."""
+    """Return the dressed surface in the zero pose, soles on y = 0; its parts are skin, eyes and mouth."""
     floor = np.array([0.0, _floor(body, fit), 0.0])
-    skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), np.round(fit.joints - floor, _DIGITS))
+    skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), np.round(fit.joints - floor, _DECIMALS_M))
     eye = np.isin(body.part, [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in _SIDES])
     kinds = {"skin": body.skin, "eyes": eye & ~body.skin, "mouth": ~eye & ~body.skin}
     white = np.full((2, 2, 4), 255, np.uint8)
     parts = []
     for name, vertices in kinds.items():
-        mine = vertices[body.faces[:, 0]]
-        parts.append(MeshPart(name, body.faces[mine], body.uv[mine], white))
+        chosen = vertices[body.faces[:, 0]]
+        parts.append(MeshPart(name, body.faces[chosen], body.uv[chosen], white))
     return RiggedMesh(
-        np.round(fit.rest - floor, _DIGITS),
+        np.round(fit.rest - floor, _DECIMALS_M),
         skeleton,
         body.skin_joints.astype(np.int64),
         body.skin_weights,
@@ -48,7 +48,7 @@ def dressed_mesh(body: Body, fit: BodyFit) -> RiggedMesh:
 
 
 def _floor(body: Body, fit: BodyFit) -> float:
-    """Where the soles stand, metres; a shadow that the mask took for a shoe pulls a few vertices below it."""
+    """Return the height of the soles in metres."""
     feet = np.isin(body.part, [JOINT_NAMES.index(f"{side}_{name}") for side in _SIDES for name in ("ankle", "foot")])
-    down = vertex_normals(body.vertices, body.faces)[:, 1] < _DOWN
-    return float(np.quantile(fit.rest[feet & down, 1], _LOWEST))
+    down = vertex_normals(body.vertices, body.faces)[:, 1] < _MAX_SOLE_NORMAL_Y
+    return float(np.quantile(fit.rest[feet & down, 1], _FLOOR_QUANTILE))

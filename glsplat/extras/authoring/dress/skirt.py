@@ -1,7 +1,7 @@
-"""A skirt is one surface: between the legs it hangs from both, and follows the mean of them.
+"""Turn the inner halves of the legs into a skirt, which follows both legs.
 
-The body has no cloth between its legs. Where the picture has cloth there down to a hem, the inner halves of both legs
-become one sheet before and one behind, from the middle of one leg to that of the other.
+The body has no cloth between its legs. If the picture shows cloth there down to a hem, the inner halves of both legs
+become one sheet in front and one behind, from the middle of one leg to the middle of the other.
 """
 
 from __future__ import annotations
@@ -27,14 +27,17 @@ __all__ = ["dress", "hem_of", "with_skirt"]
 F64 = NDArray[np.float64]
 
 _LEGS = ("hip", "knee", "ankle")
-_GAP, _FILLED = 0.012, 0.97  # of the person's height between bare legs; of it, what a skirt covers
-_HEM = 0.04  # of the height between the legs at a hem; the gap of trousers begins narrow
-_LENGTH = 0.06  # of the person's height: shorter ones are the cut of trousers
-_GOWN = 0.25  # of the height that a gown to the floor covers between the legs
-_ROW = 0.02  # metres of height
-_SOFT = 0.10  # metres below the crotch in which legs become a sheet
-_WALL = np.radians(25)  # about a leg's inmost line: where front and back of the sheet meet
-_REACH = 1.8  # halves of the distance between the legs over which one leg's pull becomes the other's
+# fractions of the person's height in the picture
+_MIN_GAP_FRACTION = 0.012  # width between bare legs of a row that counts
+_MIN_HEM_GAP_FRACTION = 0.04  # width between the legs at a hem; the gap of trousers begins narrow
+_MIN_SKIRT_FRACTION = 0.06  # length of the covered gap; a shorter one is the cut of trousers
+_MIN_GOWN_FRACTION = 0.25  # the same for a gown to the floor
+_MIN_COVERED_FRACTION = 0.97  # of the gap, by a skirt
+
+_ROW_M = 0.02
+_BLEND_M = 0.10  # below the crotch, where legs become a sheet
+_SEAM_RAD = np.radians(25)  # around a leg's innermost line, where front and back of the sheet meet
+_WEIGHT_BLEND_FACTOR = 1.8  # width over which weights pass from leg to leg, in distances between the knees
 
 
 def dress(body: Body, fit: BodyFit, views: Sequence[View]) -> Dressed:
@@ -45,13 +48,13 @@ def dress(body: Body, fit: BodyFit, views: Sequence[View]) -> Dressed:
 
 
 def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | None:
-    """Metres of height in the zero pose of the ``mesh`` where a skirt ends in the front ``view``; None without one.
+    """Return the height in metres of the hem in the zero pose of ``mesh``, or None if the front ``view`` has no skirt.
 
-    A skirt covers the gap between bare legs from the crotch down to its hem, and not beyond; a gown all of it, where
-    the legs beneath are apart down to the ankles. Of legs that stand together nothing tells a gown from trousers.
+    A skirt covers the gap between the bare legs from the crotch to its hem and ends there. A gown covers the gap down
+    to the ankles. A gown over legs without a gap cannot be told from trousers.
     """
-    seen = fit.views[0]
-    posed = fully_posed(body, fit.betas, seen.root, seen.pelvis, seen.rotations)
+    front = fit.views[0]
+    posed = fully_posed(body, fit.betas, front.root, front.pelvis, front.rotations)
     bare = posed.points(body.points(np.arange(len(body.vertices))))
     pixels = projected(bare, view.focal, view.centre)[0]
     legs = [
@@ -59,27 +62,27 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
         for side in ("left", "right")
     ]
     columns = np.arange(view.mask.shape[1])
-    filled = []  # row, width of the gap, share of it
+    gaps = []  # row, width in pixels, covered fraction
     for row in range(view.mask.shape[0]):
         ends = [columns[leg[row]] for leg in legs]
         if not len(ends[0]) or not len(ends[1]):
             continue
         low, high = sorted(ends, key=lambda end: float(end.mean()))
         gap = slice(int(low[-1]) + 1, int(high[0]))
-        if gap.stop - gap.start > _GAP * view.figure:
-            filled.append((row, gap.stop - gap.start, float(view.mask[row, gap].mean())))
-    if not filled:
+        if gap.stop - gap.start > _MIN_GAP_FRACTION * view.figure:
+            gaps.append((row, gap.stop - gap.start, float(view.mask[row, gap].mean())))
+    if not gaps:
         return None
-    rows, wide, share = (np.array(column) for column in zip(*filled, strict=True))
-    bared = share < 0.5
-    gown = not bared.any()  # cloth down to the ankles, between legs that are apart all the way
-    last = len(rows) - 1 if gown else int(bared.argmax())
-    apart, length = (wide[-(len(wide) // 4 + 1) :].min(), _GOWN) if gown else (wide[last], _LENGTH)
+    rows, widths, covered = (np.array(column) for column in zip(*gaps, strict=True))
+    bare_rows = covered < 0.5
+    gown = not bare_rows.any()
+    last = len(rows) - 1 if gown else int(bare_rows.argmax())
+    hem_gap = widths[-(len(widths) // 4 + 1) :].min() if gown else widths[last]
     if (
         last == 0
-        or share[:last].mean() < _FILLED
-        or apart < _HEM * view.figure
-        or rows[last] - rows[0] < length * view.figure
+        or covered[:last].mean() < _MIN_COVERED_FRACTION
+        or hem_gap < _MIN_HEM_GAP_FRACTION * view.figure
+        or rows[last] - rows[0] < (_MIN_GOWN_FRACTION if gown else _MIN_SKIRT_FRACTION) * view.figure
     ):
         return None
     near = (_leg(body, "left") | _leg(body, "right")) & (np.abs(pixels[:, 1] - rows[last]) < 0.01 * view.figure)
@@ -87,55 +90,55 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
 
 
 def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float) -> Dressed:
-    """Return the dressed body with a skirt down to ``hem``, metres of height in the zero pose."""
+    """Return the dressed body with a skirt down to ``hem``, a height in metres in the zero pose."""
     mesh = dressed.mesh
     rest, joints = mesh.vertices.copy(), mesh.skeleton.joints
     inner = rest.copy()
-    worn = np.zeros(len(rest))
+    skirt = np.zeros(len(rest))  # 0 leg to 1 sheet
     for side, sign in (("left", 1.0), ("right", -1.0)):
         leg = _leg(body, side)
         line = joints[[JOINT_NAMES.index(f"{side}_{name}") for name in _LEGS]][::-1]
         crotch = float(np.quantile(rest[leg, 1], 0.98))
-        share = ((crotch - rest[:, 1]) / _SOFT).clip(0, 1) * (rest[:, 1] > hem) * leg
+        share = ((crotch - rest[:, 1]) / _BLEND_M).clip(0, 1) * (rest[:, 1] > hem) * leg
         middle = sign * np.interp(rest[:, 1], line[:, 1], line[:, 0])
         back, front = _depths(rest, leg)
         centre = (back + front) / 2
         across, away = middle - sign * rest[:, 0], rest[:, 2] - centre
-        angle = np.arctan2(np.abs(away), across)  # 0 inmost, a right angle before or behind the leg's middle
-        flat = np.minimum(angle / _WALL, 1)
-        angle = ((angle - _WALL) / (np.pi / 2 - _WALL)).clip(0, 1)
+        angle = np.arctan2(np.abs(away), across)  # 0 innermost, a right angle in front of or behind the leg's middle
+        flat = np.minimum(angle / _SEAM_RAD, 1)
+        angle = ((angle - _SEAM_RAD) / (np.pi / 2 - _SEAM_RAD)).clip(0, 1)
         sheet = (across > 0) & leg
         depth = np.where(away > 0, front, back)
         inner[sheet, 0] = (middle * angle)[sheet]
         inner[sheet, 2] = (centre + flat * (depth - centre))[sheet]
         rest[sheet] += share[sheet, None] * (inner - rest)[sheet]
-        worn = np.maximum(worn, share)
-    apart = abs(joints[JOINT_NAMES.index("left_knee"), 0] - joints[JOINT_NAMES.index("right_knee"), 0])
-    left = 0.5 + 0.5 * (rest[:, 0] / (_REACH * apart / 2)).clip(-1, 1)
+        skirt = np.maximum(skirt, share)
+    knee_distance = abs(joints[JOINT_NAMES.index("left_knee"), 0] - joints[JOINT_NAMES.index("right_knee"), 0])
+    left = 0.5 + 0.5 * (rest[:, 0] / (_WEIGHT_BLEND_FACTOR * knee_distance / 2)).clip(-1, 1)
     weights = np.zeros((len(rest), len(JOINT_NAMES)))
     np.put_along_axis(weights, mesh.joints, mesh.weights, axis=1)
     for name in _LEGS[:2]:
         pair = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")]
         total = weights[:, pair].sum(axis=1)
         wanted = total[:, None] * np.stack([left, 1 - left], axis=1)
-        weights[:, pair] += worn[:, None] * (wanted - weights[:, pair])
+        weights[:, pair] += skirt[:, None] * (wanted - weights[:, pair])
     strongest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, : mesh.joints.shape[1]], axis=1)
     kept = np.take_along_axis(weights, strongest, axis=1)
-    made = replace(mesh, vertices=rest, joints=strongest, weights=kept / kept.sum(axis=1, keepdims=True))
-    seen = (_moved(made, view, fitted, worn > 0) for view, fitted in zip(views, dressed.views, strict=True))
-    return Dressed(made, tuple(seen))
+    mesh = replace(mesh, vertices=rest, joints=strongest, weights=kept / kept.sum(axis=1, keepdims=True))
+    moved = (_moved(mesh, view, fitted, skirt > 0) for view, fitted in zip(views, dressed.views, strict=True))
+    return Dressed(mesh, tuple(moved))
 
 
-def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, some: NDArray[np.bool_]) -> FittedView:
-    """The view with ``some`` [V] vertices where the mesh has them now."""
+def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, chosen: NDArray[np.bool_]) -> FittedView:
+    """Return the view with the ``chosen`` [V] vertices at their places in the mesh."""
     there = mesh.posed(Pose(fitted.rotations)) - mesh.skeleton.joints[0]
-    vertices = np.where(some[:, None], there @ fitted.root.T + fitted.pelvis, fitted.vertices)
+    vertices = np.where(chosen[:, None], there @ fitted.root.T + fitted.pelvis, fitted.vertices)
     return replace(fitted, vertices=vertices, pixels=projected(vertices, view.focal, view.centre)[0])
 
 
 def _depths(rest: F64, leg: NDArray[np.bool_]) -> tuple[F64, F64]:
-    """[V] z of a leg's back and front at each vertex's height."""
-    row = np.round(rest[:, 1] / _ROW).astype(np.intp)
+    """Return z of a leg's back and front at each vertex's height, [V] each."""
+    row = np.round(rest[:, 1] / _ROW_M).astype(np.intp)
     row -= row.min()
     out = []
     for sign in (-1.0, 1.0):
@@ -148,5 +151,5 @@ def _depths(rest: F64, leg: NDArray[np.bool_]) -> tuple[F64, F64]:
 
 
 def _leg(body: Body, side: str) -> NDArray[np.bool_]:
-    """[V] the vertices of one leg, without its foot."""
+    """Return a mask [V] of one leg without its foot."""
     return np.isin(body.part, [JOINT_NAMES.index(f"{side}_{name}") for name in _LEGS[:2]])

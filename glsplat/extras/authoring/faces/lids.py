@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from trimesh.triangles import points_to_barycentric
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.blinks import BLINKS, blink_of
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.lashes_and_hair import LASH, Extra, added, frames, joined
@@ -73,7 +73,7 @@ def with_lids(avatar: Avatar, face: RiggedMesh, eyes: Sequence[Opening], lashes:
     out = (shapes.targets == shapes.names.index("tongueOut")) & (shapes.metres[:, 2] > _PUT_OUT)
     most = np.where(on_lids | out[:, None, None], _BENT, _TAUT)
     made = replace(avatar, shapes=replace(shapes, bends=np.clip(shapes.bends, -most, most).astype(shapes.bends.dtype)))
-    lids = abreast(lambda eye: _lid(avatar, face, eye.ball, eye.edges, seed), eyes)
+    lids = map_threads(lambda eye: _lid(avatar, face, eye.ball, eye.edges, seed), eyes)
     for (ball, edges), lid in zip(eyes, lids, strict=True):
         if lid is not None:
             made = joined(replace(made, shapes=_gone(made, ball, edges, lashes)), lid)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.open_face import of_open_body, open_face, with_mouth
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.body.open_face import first_vertices, open_face, with_mouth
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.lashes_and_hair import Extra, added, frames, joined
 from glsplat.extras.authoring.faces.tiles import Tiles, tiled
 from glsplat.extras.authoring.geometry.nearest import nearest_on
@@ -74,7 +74,7 @@ def with_teeth(avatar: Avatar, mesh: RiggedMesh, count: int, photographed: int, 
     """
     lined, inside = _darkened(avatar, mesh)
     shaded = _shaded(lined, mesh)
-    furnished = with_mouth(mesh, of_open_body(mesh))
+    furnished = with_mouth(mesh, first_vertices(mesh))
     teeth = next(one for one in furnished.parts if one.name == "teeth")
     light = _light(avatar, mesh)
     whole = added(shaded, furnished, _rows(furnished, teeth, light))
@@ -108,13 +108,13 @@ def _without_colours(avatar: Avatar, some: NDArray[np.integer], photographed: in
 def _enamel() -> NDArray[np.bool_]:
     """[F] of the faces that ``with_mouth`` adds."""
     face = open_face()
-    return face.tooth[face.whole]
+    return face.tooth[face.on_one_jaw]
 
 
 @lru_cache(maxsize=1)
 def _tiles() -> Tiles:
     face = open_face()
-    return tiled(face.mouth, face.faces[face.whole], face.tooth[face.whole], face.lower)
+    return tiled(face.mouth, face.faces[face.on_one_jaw], face.tooth[face.on_one_jaw], face.lower)
 
 
 def _rows(furnished: RiggedMesh, teeth: MeshPart, light: float) -> Extra:
@@ -154,7 +154,7 @@ def _darkened(avatar: Avatar, mesh: RiggedMesh) -> tuple[Avatar, NDArray[np.inte
     if not len(near) or not within.any() or not len(outside):
         return avatar, near[:0]
     places = splats.means[near].astype(np.float64)
-    found = abreast(lambda some: nearest_on(mesh.vertices, some, places), (faces, outside))
+    found = map_threads(lambda some: nearest_on(mesh.vertices, some, places), (faces, outside))
     (_, distance, which, bary), (_, apart, _, _) = found
     mine = within[which] & (apart > distance + _APART)
     deep = ((bary[mine] * lining.far[faces[which[mine]]]).sum(axis=1, keepdims=True) / _WITHIN).clip(0, 1) ** 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.open_face import of_open_body, with_expressions
+from glsplat.extras.authoring.body.open_face import first_vertices, with_expressions
 from glsplat.extras.authoring.faces.blinks import blink_of, blink_that_shuts, with_blink
 from glsplat.extras.authoring.faces.eyeballs import eyeballs
 from glsplat.extras.authoring.faces.lashes_and_hair import FRINGES, with_lashes
@@ -31,7 +31,7 @@ class MovingFace(NamedTuple):
 
 def moving_face(mesh: RiggedMesh) -> MovingFace:
     """Of the ``mesh``, whose first vertices are the open body's, with parts called eyes, mouth and skin."""
-    moving = with_open_lips(with_expressions(mesh, of_open_body(mesh)))
+    moving = with_open_lips(with_expressions(mesh, first_vertices(mesh)))
     eyes = openings(mesh, eyeballs(mesh, "eyes"))
     shares = {blink_of(eye.ball): blink_that_shuts(moving, eye) for eye in eyes}
     return MovingFace(with_blink(moving, shares), tuple(eyes))

@@ -7,7 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.body.enamel import CROWN, MIDDLE, enamel, light_at, teeth_of, turn_of
+from glsplat.extras.authoring.body.enamel import (
+    ARCH_XZ_M,
+    MAX_CROWN_M,
+    arch_angles,
+    enamel,
+    light_at,
+    tooth_of_faces,
+)
 
 __all__ = ["Tiles", "tiled"]
 
@@ -39,8 +46,8 @@ class Tiles(NamedTuple):
 
 def tiled(mouth: F64, faces: NDArray[np.integer], tooth: NDArray[np.bool_], lower: NDArray[np.bool_]) -> Tiles:
     """Of the ``mouth`` [M, 3], whose ``faces`` [F, 3] are ``tooth`` [F] or gum; ``lower`` [M] on the jaw."""
-    every, turn = np.flatnonzero(tooth), turn_of(mouth)
-    label = teeth_of(faces[tooth], len(mouth))
+    every, turn = np.flatnonzero(tooth), arch_angles(mouth)
+    label = tooth_of_faces(faces[tooth], len(mouth))
     found = []
     for one in np.unique(label):
         mine = every[label == one]
@@ -57,11 +64,14 @@ def _of_tooth(mouth: F64, faces: NDArray[np.integer], mine: Indices, turn: F64, 
     middle, half = (low + high) / 2, (high - low) / 2
     wide, tall = next(rows for until, rows in _ROWS if abs(middle) < until)
     tip = height[used].min()
-    crown = min(CROWN, height[used].max() - tip)
+    crown = min(MAX_CROWN_M, height[used].max() - tip)
     grid = np.meshgrid((np.arange(wide) + 0.5) / wide * 2 - 1, (np.arange(tall) + 0.5) / tall)
     across, along = (np.append(each, seam) for each, seam in zip(grid, _SEAMS, strict=True))
     which, shares = _foremost(mouth, faces[mine], turn, height, middle + half * across, tip + crown * along)
-    seam, far = np.arange(len(across)) >= wide * tall, float(np.hypot(*(mouth[used][:, [0, 2]] - MIDDLE).T).mean())
+    seam, far = (
+        np.arange(len(across)) >= wide * tall,
+        float(np.hypot(*(mouth[used][:, [0, 2]] - ARCH_XZ_M).T).mean()),
+    )
     size = np.where(seam[:, None], _SEAM, (_TIGHT * crown / tall, _TIGHT * 2 * half * far / wide))
     rgb = np.where(seam[:, None], _SEAM_RGB, enamel(across[None], along[None])[0] * _WARM / 255) * light_at(
         np.array([middle])
@@ -85,7 +95,7 @@ def _foremost(
     u = (to[..., 0] * second[:, 1] - to[..., 1] * second[:, 0]) / size
     v = (first[:, 0] * to[..., 1] - first[:, 1] * to[..., 0]) / size
     shares = np.stack([1 - u - v, u, v], axis=2)
-    far = np.hypot(*(mouth[:, [0, 2]] - MIDDLE).T)[faces]
+    far = np.hypot(*(mouth[:, [0, 2]] - ARCH_XZ_M).T)[faces]
     there = np.where((shares >= -1e-9).all(axis=2) & np.isfinite(size), (shares * far).sum(axis=2), -np.inf)
     best, rows = there.argmax(axis=1), np.arange(len(wide))
     return np.where(np.isfinite(there[rows, best]), best, -1), shares[rows, best]

@@ -1,4 +1,4 @@
-"""The open body fitted to pictures of a person: landmarks, then silhouettes, then clothes as a smooth offset."""
+"""Fit the open body to pictures of a person: to landmarks, then to silhouettes, then clothes as smooth offsets."""
 
 import lazy_loader
 

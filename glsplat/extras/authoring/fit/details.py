@@ -1,4 +1,4 @@
-"""A fitted body's hands and face, fitted to what their own networks see."""
+"""Fit a fitted body's hands and face to the landmarks of their networks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.fit.body_fit import BodyFit, assembled, dressed
+from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit, fit_clothes
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
 from glsplat.extras.authoring.fit.face import fit_face
 from glsplat.extras.authoring.fit.hands import fit_hand
@@ -23,53 +23,54 @@ __all__ = ["fit_details"]
 
 F64 = NDArray[np.float64]
 
-_HANDS = {
+_FINGER_JOINTS = {
     side: [k for k, name in enumerate(JOINT_NAMES) if name.startswith(f"{side}_") and name[-1] in "123"]
     for side in ("left", "right")
-}  # rows of the fingers' joints
-_HEAD = [JOINT_NAMES.index(name) for name in ("neck", "head")]
-_MOVED = [
+}
+_HEAD_JOINTS = [JOINT_NAMES.index(name) for name in ("neck", "head")]
+_MOVED_JOINTS = [
     k
     for k, name in enumerate(JOINT_NAMES)
-    if k in _HEAD or k > JOINT_NAMES.index("head") or name.endswith(("elbow", "wrist"))
-]  # joints whose skin lies elsewhere afterwards
+    if k in _HEAD_JOINTS or k > JOINT_NAMES.index("head") or name.endswith(("elbow", "wrist"))
+]
 
 
 def fit_details(
     fit: BodyFit, views: Sequence[View], people: Sequence[DetectedPerson | None], body: Body | None = None
 ) -> BodyFit:
-    """The ``fit`` of the ``views`` with hands and face as the networks read them in the same pictures.
+    """Return the ``fit`` of ``views`` with hands and face fitted to the networks' ``people`` in the same pictures.
 
     Fingers, forearms, neck and head turn; the face's features and the eyes' joints move in ``rest`` and ``joints``;
-    hair and sleeves meet the masks anew. What is not believed stays as it was: a hand that no view shows, a face in
-    a view from behind or under a scarf. Raises FormatError.
+    hair and sleeves are fitted to the masks again. Hands and faces that are hidden or not credible stay unchanged.
+    Raises FormatError.
     """
     if not len(fit.views) == len(views) == len(people):
         raise FormatError(f"details need a view and a person each of {len(fit.views)}, not {len(views)}, {len(people)}")
     body = body or open_body()
-    rotations = [seen.rotations.copy() for seen in fit.views]
+    rotations = [fitted.rotations.copy() for fitted in fit.views]
     for side in ("left", "right"):
         _set_hand(body, fit, views, people, side, rotations)
     bare, joints = body.shaped(fit.betas)
-    for seen, view, person, turns in zip(fit.views, views, people, rotations, strict=True):
-        found = fit_face(body, fit, seen, view, person.face) if person is not None and view.side == "front" else None
+    for fitted, view, person, turns in zip(fit.views, views, people, rotations, strict=True):
+        found = fit_face(body, fit, fitted, view, person.face) if person is not None and view.side == "front" else None
         if found is not None:
-            turns[_HEAD] = found[0][_HEAD]
+            turns[_HEAD_JOINTS] = found[0][_HEAD_JOINTS]
             bare = bare + found[1]
             for eye in EYE_SIDES:
                 joints[JOINT_NAMES.index(f"{eye}_eye_smplhf")] += found[1][eyeball(body, eye).vertices[0]]
-            break  # one picture shapes the face
-    if all((turns == seen.rotations).all() for turns, seen in zip(rotations, fit.views, strict=True)):
-        return fit  # a face that is believed turns the head at least a little
+            break  # one picture is enough for the face
+    if all((turns == fitted.rotations).all() for turns, fitted in zip(rotations, fit.views, strict=True)):
+        return fit  # any fitted face turns the head at least a little
     poses = [
-        fully_posed(body, fit.betas, seen.root, seen.pelvis, turns)
-        for seen, turns in zip(fit.views, rotations, strict=True)
+        fully_posed(body, fit.betas, fitted.root, fitted.pelvis, turns)
+        for fitted, turns in zip(fit.views, rotations, strict=True)
     ]
-    moved = (body.skin_weights * np.isin(body.skin_joints, _MOVED)).sum(axis=1)
-    offsets = moved * dressed(body, bare, poses, views, fit.offsets) + (1 - moved) * fit.offsets
-    detailed = assembled(body, bare, joints, offsets, poses, rotations, views, [seen.strays for seen in fit.views])
-    told = [replace(seen, doubts=old.doubts) for seen, old in zip(detailed.views, fit.views, strict=True)]
-    return replace(detailed, views=tuple(told))
+    moved = (body.skin_weights * np.isin(body.skin_joints, _MOVED_JOINTS)).sum(axis=1)
+    offsets = moved * fit_clothes(body, bare, poses, views, fit.offsets) + (1 - moved) * fit.offsets
+    errors = [fitted.landmark_error for fitted in fit.views]
+    detailed = assemble_fit(body, bare, joints, offsets, poses, rotations, views, errors)
+    pairs = zip(detailed.views, fit.views, strict=True)
+    return replace(detailed, views=tuple(replace(new, uncertainty=old.uncertainty) for new, old in pairs))
 
 
 def _set_hand(
@@ -80,16 +81,16 @@ def _set_hand(
     side: str,
     rotations: list[F64],
 ) -> None:
-    """Write one hand into the views' ``rotations`` [55, 3] each; views that do not show it get another's fingers."""
+    """Set one hand in the views' ``rotations`` [55, 3]; views that do not show it get the fingers of another view."""
     arm = [JOINT_NAMES.index(f"{side}_{name}") for name in ("elbow", "wrist")]
     fingers: list[F64 | None] = []
-    for seen, view, person, turns in zip(fit.views, views, people, rotations, strict=True):
+    for fitted, view, person, turns in zip(fit.views, views, people, rotations, strict=True):
         hand = None if person is None else person.left_hand if side == "left" else person.right_hand
-        found = None if hand is None else fit_hand(body, fit, seen, view, hand, side)
-        fingers.append(None if found is None else found[_HANDS[side]])
+        found = None if hand is None else fit_hand(body, fit, fitted, view, hand, side)
+        fingers.append(None if found is None else found[_FINGER_JOINTS[side]])
         if found is not None:
             turns[arm] = found[arm]
     known = next((each for each in fingers if each is not None), None)
     for turns, each in zip(rotations, fingers, strict=True):
         if known is not None:
-            turns[_HANDS[side]] = known if each is None else each
+            turns[_FINGER_JOINTS[side]] = known if each is None else each

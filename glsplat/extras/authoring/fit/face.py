@@ -1,8 +1,8 @@
-"""The face: the head turned, and its features moved to where the face network sees them in the picture.
+"""Turn the head and move the face's features to the face network's landmarks.
 
-A table says which spot of the body's face each landmark marks. What the head's turn leaves of the distances is taken
-for a difference between the faces: a smooth field in the head's own frontal plane, the likeliest one of a Gaussian
-process whose left and right are nearly mirrored. So a half under hair follows the half that is seen.
+A table has the point of the body's face for each landmark. Distances that remain after the head's turn are explained
+by a smooth field of offsets in the head's frontal plane: the most likely one of a Gaussian process that is nearly
+symmetric. A half under hair therefore follows the visible half.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
-from glsplat.extras.authoring.fit.kinematics import column, fully_posed, projected
+from glsplat.extras.authoring.fit.kinematics import derivative_column, fully_posed, projected
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.face import Face
 from glsplat.rotations import unit_vectors
@@ -32,36 +32,36 @@ __all__ = ["FacePlaces", "face_places", "face_turn", "fit_face"]
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_TURNED = ("neck", "head")
-_TURN_DOUBT: F64 = np.repeat([0.08, 0.12], 3)  # radians; people look ahead for a picture
-_OTHERNESS = 0.010  # metres that features lie elsewhere than the body has them, one standard deviation
-_SCALES = (1.0, 0.09), (0.5, 0.025)  # share of that, and over how many metres it is about the same
-_ALIKE = 0.9  # correlation of the two halves of a face
-_MIRRORED = -1.0, 1.0  # what a mirror makes of the field's x and y
-_MOST, _MOST_ODD = 0.02, 0.05  # metres; nothing is moved farther; and of a face where the body's landmarks had none
-_BACK, _FRONT = 0.0, 0.06  # metres of z in the zero pose: where the field has faded, and where it begins to
-_SURE = 0.5  # presence of a face that is there
-_TURN_SURE = 0.9  # of one that says where the person is turned
-_STRANGE, _ODD = 0.02, 0.03  # metres; landmarks that lie farther off by the median are not of this head; the same
-_OUTLIER = 2.0  # strays; a landmark that the field misses by this much counts half
-_ROUNDS = 3  # landmarks weighed anew
+_TURNED_JOINTS = ("neck", "head")
+_TURN_SD_RAD: F64 = np.repeat([0.08, 0.12], 3)  # people look ahead for a picture
+_FIELD_SD_M = 0.010  # offsets of features from the body's
+_FIELD_SCALES = (1.0, 0.09), (0.5, 0.025)  # fraction of the standard deviation, and correlation length in metres
+_SYMMETRY = 0.9  # correlation of the two halves of a face
+_MIRROR_SIGNS = -1.0, 1.0  # of the field's x and y
+_MAX_OFFSET_M, _MAX_DISPLACED_OFFSET_M = 0.02, 0.05  # the second for a face beside the body's landmarks
+_FADE_END_Z_M, _FADE_START_Z_M = 0.0, 0.06  # in the zero pose; the field fades towards the back
+_MIN_PRESENCE = 0.5  # of the face
+_MIN_TURN_PRESENCE = 0.9  # of a face whose turn is used
+_MAX_MEDIAN_M, _MAX_DISPLACED_MEDIAN_M = 0.02, 0.03  # between landmarks and head; the second for a displaced face
+_OUTLIER_FACTOR = 2.0  # typical errors at which a landmark has half the weight
+_WEIGHT_ROUNDS = 3  # updates of the landmarks' weights
 
 
 @dataclass(frozen=True, eq=False)
 class FacePlaces:
-    """Where landmarks of the face network lie on the body: a triangle each, and a spot in it."""
+    """Points on the body for landmarks of the face network: a triangle and barycentric weights for each."""
 
     numbers: Indices  # [L] in the network's order
-    faces: Indices  # [L] of the body's triangles
+    faces: Indices  # [L] triangles of the body
     weights: F64  # [L, 3] of the triangle's corners, rows sum to one
-    strays: F64  # [L] metres, typical distance in the picture between the spot and where the network puts it
+    errors: F64  # [L] metres, typical distance in the picture between the point and the network's landmark
 
     def of(self, body: Body, values: F64) -> F64:
-        """[L, ...] the vertices' ``values`` [V, ...] at the spots."""
+        """Return the vertices' ``values`` [V, ...] at the points, [L, ...]."""
         return np.asarray(np.einsum("lk,lk...->l...", self.weights, values[body.faces[self.faces]]))
 
     def points(self, body: Body, rest: F64) -> Points:
-        """The spots as points of a body of a known shape, whose vertices rest at ``rest`` [V, 3]."""
+        """Return the points on a body of a known shape with vertices ``rest`` [V, 3] in the zero pose."""
         corners = body.faces[self.faces]
         joints = body.skin_joints[corners].reshape(len(corners), -1)
         weights = (self.weights[..., None] * body.skin_weights[corners]).reshape(len(corners), -1)
@@ -79,47 +79,47 @@ def face_places() -> FacePlaces:
         numbers=np.array([row["landmark"] for row in rows], np.intp),
         faces=np.array([row["face"] for row in rows], np.intp),
         weights=weights / weights.sum(axis=1, keepdims=True),
-        strays=np.array([row["stray"] for row in rows], np.float64),
+        errors=np.array([row["stray"] for row in rows], np.float64),
     )
 
 
 def face_turn(body: Body, face: Face, focal: float, middle: float) -> float | None:
-    """Degrees that a face has turned to the person's own left from facing the camera, None for one that is not sure.
+    """Return the turn of a face in degrees from facing the camera to the person's own left, or None if it is unsure.
 
     ``focal`` and ``middle`` are the focal length and the column of the optical axis, both in pixels. The turn is that
-    of the affine picture of the places on the body's face that is nearest to the landmarks.
+    of the affine projection of the body's face that fits the landmarks best.
     """
-    if face.presence < _TURN_SURE:
+    if face.presence < _MIN_TURN_PRESENCE:
         return None
     table = face_places()
     spots, marks = table.of(body, body.vertices), face.points[table.numbers, :2]
     plane = np.linalg.lstsq(spots - spots.mean(axis=0), marks - marks.mean(axis=0), rcond=None)[0].T
     right, down = unit_vectors(plane, 1e-9)
-    aside = np.arctan2(marks[:, 0].mean() - middle, focal)  # who looks at the camera from there has turned back by it
-    return float(np.degrees(np.arctan2(right[2], -np.cross(right, down)[2]) - aside))
+    bearing = np.arctan2(marks[:, 0].mean() - middle, focal)  # facing the camera from there is a turn by this angle
+    return float(np.degrees(np.arctan2(right[2], -np.cross(right, down)[2]) - bearing))
 
 
-def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face) -> tuple[F64, F64] | None:
-    """The view's rotations [55, 3] with neck and head turned, and how far vertices move in the zero pose [V, 3] metres.
+def fit_face(body: Body, fit: BodyFit, fitted: FittedView, view: View, face: Face) -> tuple[F64, F64] | None:
+    """Return the view's rotations [55, 3] with neck and head turned, and offsets [V, 3] in metres in the zero pose.
 
-    Both such that the places meet the face's landmarks; None for a face that is not believed. The turn is the likeliest
-    one when the field may be anything that it is likely to be. Eyeballs move as a whole, so that they stay round.
+    Both move the body's face to the landmarks; None if the face is not credible. The turn is the most likely one over
+    all fields of offsets. Eyeballs move as a whole, to stay round.
     """
     table = face_places()
     marks, points = face.points[table.numbers, :2], table.points(body, fit.rest)
     spots = table.of(body, body.vertices)
-    likely = [_covariance(spots, spots, sign) for sign in _MIRRORED]
-    rows = [JOINT_NAMES.index(name) for name in _TURNED]
-    columns = [column(name, axis) for name in _TURNED for axis in range(3)]
+    covariances = [_covariance(spots, spots, sign) for sign in _MIRROR_SIGNS]
+    rows = [JOINT_NAMES.index(name) for name in _TURNED_JOINTS]
+    columns = [derivative_column(name, axis) for name in _TURNED_JOINTS for axis in range(3)]
 
     def turned(x: F64) -> F64:
-        rotations = seen.rotations.copy()
+        rotations = fitted.rotations.copy()
         rotations[rows] = x.reshape(-1, 3)
         return rotations
 
-    def left(x: F64, derive: bool) -> tuple[F64, F64]:
-        """[L, 2] metres in the head's frontal plane from the spots to the landmarks, and [L, 2, 6] derivatives."""
-        posed = fully_posed(body, fit.betas, seen.root, seen.pelvis, turned(x))
+    def residuals(x: F64, derive: bool) -> tuple[F64, F64]:
+        """Return metres [L, 2] in the head's frontal plane from points to landmarks, and derivatives [L, 2, 6]."""
+        posed = fully_posed(body, fit.betas, fitted.root, fitted.pelvis, turned(x))
         where, moves = posed.derivatives(points) if derive else (posed.points(points), None)
         at, slopes = projected(where, view.focal, view.centre, None if moves is None else moves[..., columns])
         frame = posed.frames[JOINT_NAMES.index("head")]
@@ -127,65 +127,68 @@ def fit_face(body: Body, fit: BodyFit, seen: FittedView, view: View, face: Face)
         plane = frame[:2, :2] - ratio[:, :, None] * frame[2:, :2]  # from the head's plane to the picture's
         return np.linalg.solve(plane, (marks - at)[..., None] * size)[..., 0], np.linalg.solve(plane, -slopes * size)
 
-    x = seen.rotations[rows].ravel()
+    x = fitted.rotations[rows].ravel()
     noise = np.ones(len(spots))
-    for _ in range(_ROUNDS):
-        roots = [cholesky(each + np.diag((table.strays * noise) ** 2), lower=True) for each in likely]
+    for _ in range(_WEIGHT_ROUNDS):
+        roots = [cholesky(each + np.diag((table.errors * noise) ** 2), lower=True) for each in covariances]
 
         def equations(x: F64, derive: bool, roots: list[F64] = roots) -> tuple[F64, F64]:
-            away, slopes = left(x, derive)
+            away, slopes = residuals(x, derive)
             both = [np.column_stack([away[:, k], slopes[:, k]]) for k in (0, 1)]
             whitened = np.concatenate(
                 [solve_triangular(root, each, lower=True) for root, each in zip(roots, both, strict=True)]
             )
-            residual = np.concatenate([whitened[:, 0], x / _TURN_DOUBT])
-            return residual, np.concatenate([whitened[:, 1:], np.diag(1 / _TURN_DOUBT)]) if derive else whitened[:0, 1:]
+            residual = np.concatenate([whitened[:, 0], x / _TURN_SD_RAD])
+            if not derive:
+                return residual, np.zeros((0, 0))
+            return residual, np.concatenate([whitened[:, 1:], np.diag(1 / _TURN_SD_RAD)])
 
         x = least_squares(equations, x, 6)
-        away = left(x, False)[0]
-        pulls = [_solved(root, away[:, k]) for k, root in enumerate(roots)]
-        met = np.stack([each @ pull for each, pull in zip(likely, pulls, strict=True)], axis=1)
-        noise = np.sqrt(1 + (np.linalg.norm(away - met, axis=1) / (_OUTLIER * table.strays)) ** 2)
-    if face.presence < _SURE or np.median(np.linalg.norm(away, axis=1)) > (_ODD if face.elsewhere else _STRANGE):
+        away = residuals(x, False)[0]
+        pulls = [_cholesky_solve(root, away[:, k]) for k, root in enumerate(roots)]
+        met = np.stack([each @ pull for each, pull in zip(covariances, pulls, strict=True)], axis=1)
+        noise = np.sqrt(1 + (np.linalg.norm(away - met, axis=1) / (_OUTLIER_FACTOR * table.errors)) ** 2)
+    limit = _MAX_DISPLACED_MEDIAN_M if face.displaced else _MAX_MEDIAN_M
+    if face.presence < _MIN_PRESENCE or np.median(np.linalg.norm(away, axis=1)) > limit:
         return None
-    return turned(x), _field(body, spots, pulls, _MOST_ODD if face.elsewhere else _MOST)
+    return turned(x), _field(body, spots, pulls, _MAX_DISPLACED_OFFSET_M if face.displaced else _MAX_OFFSET_M)
 
 
 def _field(body: Body, spots: F64, pulls: list[F64], most: float) -> F64:
-    """[V, 3] metres: the field that ``pulls`` [L] at ``spots`` [L, 3] make of x and y, faded, and at most ``most``."""
-    reach = _reach(body)
+    """Return offsets [V, 3] in metres from ``pulls`` [L] (x, y) at ``spots`` [L, 3], faded and limited to ``most``."""
+    reach = _face_weights(body)
     near = np.flatnonzero(reach)
     moved = np.zeros_like(body.vertices)
-    for k, sign in enumerate(_MIRRORED):
+    for k, sign in enumerate(_MIRROR_SIGNS):
         moved[near, k] = _covariance(body.vertices[near], spots, sign) @ pulls[k]
     size = np.linalg.norm(moved, axis=1, keepdims=True)
     moved *= reach[:, None] * most * np.tanh(size / most) / np.maximum(size, 1e-9)
     for side in EYE_SIDES:
         ball = eyeball(body, side)
-        in_sight = ball.vertices[body.vertices[ball.vertices, 2] > ball.centre[2]]
-        moved[ball.vertices] = moved[in_sight].mean(axis=0)
+        front = ball.vertices[body.vertices[ball.vertices, 2] > ball.centre[2]]
+        moved[ball.vertices] = moved[front].mean(axis=0)
     return moved
 
 
 def _covariance(first: F64, second: F64, sign: float) -> F64:
-    """[N, M] of the field's one component at points [N, 3] and [M, 3]; ``sign``: what a mirror makes of it."""
+    """Return the covariance [N, M] of a component of the field at points [N, 3] and [M, 3]; ``sign`` of its mirror."""
     both = np.zeros((len(first), len(second)))
-    for factor, points in ((1.0, second), (sign * _ALIKE, second * (-1, 1, 1))):
+    for factor, points in ((1.0, second), (sign * _SYMMETRY, second * (-1, 1, 1))):
         far = cdist(first, points)
-        for share, scale in _SCALES:
+        for share, scale in _FIELD_SCALES:
             ratio = far * (np.sqrt(5) / scale)
-            both += factor * share**2 * (1 + ratio + ratio**2 / 3) * np.exp(-ratio)  # Matern's, twice smooth
-    return _OTHERNESS**2 * both
+            both += factor * share**2 * (1 + ratio + ratio**2 / 3) * np.exp(-ratio)  # Matern kernel, nu = 5/2
+    return _FIELD_SD_M**2 * both
 
 
-def _solved(root: F64, right: F64) -> F64:
-    """x with root root^T x = right."""
+def _cholesky_solve(root: F64, right: F64) -> F64:
+    """Return x with root root^T x = right."""
     return np.asarray(solve_triangular(root, solve_triangular(root, right, lower=True), lower=True, trans="T"))
 
 
-def _reach(body: Body) -> F64:
-    """[V] from 0 to 1: how much a vertex takes part; the neck and the back of the head do not."""
+def _face_weights(body: Body) -> F64:
+    """Return weights [V] of the field, 1 in the face to 0 on the neck and the back of the head."""
     names = ("head", "jaw", *(f"{side}_eye_smplhf" for side in EYE_SIDES))
-    held = (body.skin_weights * np.isin(body.skin_joints, [JOINT_NAMES.index(name) for name in names])).sum(axis=1)
-    share = ((body.vertices[:, 2] - _BACK) / (_FRONT - _BACK)).clip(0, 1)
-    return np.asarray(held * share**2 * (3 - 2 * share))
+    weights = (body.skin_weights * np.isin(body.skin_joints, [JOINT_NAMES.index(name) for name in names])).sum(axis=1)
+    share = ((body.vertices[:, 2] - _FADE_END_Z_M) / (_FADE_START_Z_M - _FADE_END_Z_M)).clip(0, 1)
+    return np.asarray(weights * share**2 * (3 - 2 * share))

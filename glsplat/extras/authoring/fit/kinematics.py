@@ -1,4 +1,4 @@
-"""The posed body in a camera's axes, and the exact derivatives of its points by shape and pose."""
+"""Pose the body in a camera's axes, with exact derivatives of its points by shape and pose."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["PLACE", "Hinges", "PosedBody", "column", "fully_posed", "projected"]
+__all__ = ["PLACE", "Hinges", "PosedBody", "derivative_column", "fully_posed", "projected"]
 
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 PLACE = 6
-"""Numbers of a view's place: the pelvis in camera axes [3] metres, then the root's turn [3] radians."""
+"""Size of a view's placement: the pelvis in camera axes [3] metres, then the root's turn [3] radians."""
 
-_BELOW = np.zeros((len(PARENTS), len(PARENTS)), bool)  # [a, b]: b hangs on a, or is a
+_BELOW = np.zeros((len(PARENTS), len(PARENTS)), bool)  # [a, b]: b is a or a descendant of a
 for _joint, _parent in enumerate(PARENTS):
     _BELOW[_joint, _joint] = True
     if _parent >= 0:
@@ -29,7 +29,7 @@ for _joint, _parent in enumerate(PARENTS):
 
 @dataclass(frozen=True, eq=False)
 class Hinges:
-    """The D angles that are fitted: each an axis of one joint's axis-angle, in that joint's rest frame."""
+    """The D fitted angles: components of joints' axis-angles, in their rest frames."""
 
     names: tuple[tuple[str, int], ...]  # joint name, axis 0..2
 
@@ -44,17 +44,17 @@ class Hinges:
         return np.array([axis for _, axis in self.names], np.intp)
 
     def rotations(self, angles: F64) -> F64:
-        """[55, 3] axis-angle of all joints from the fitted angles [D] in radians; the root's row is zero."""
+        """Return axis-angles [55, 3] of all joints from the fitted angles [D], radians; the root's row is zero."""
         full = np.zeros((len(JOINT_NAMES), 3))
         full[self.joints, self.axes] = angles
         return full
 
 
 class PosedBody:
-    """The body in one shape and pose, seen from one camera (OpenCV axes: x right, y down, z forward; metres).
+    """The body in one shape and pose, in one camera's axes (OpenCV: x right, y down, z forward; metres).
 
-    ``place`` [6]: where the pelvis is, and an axis-angle in camera axes that turns ``facing``; ``facing`` [3, 3]: the
-    body's axes in the camera's before that turn; ``angles`` [D] of ``hinges``.
+    ``place`` [6] is the pelvis's position and an axis-angle in camera axes that turns ``facing`` [3, 3], the body's
+    axes in the camera's; ``angles`` [D] are those of ``hinges``, radians.
     """
 
     def __init__(self, body: Body, hinges: Hinges, facing: F64, betas: F64, place: F64, angles: F64) -> None:
@@ -69,7 +69,7 @@ class PosedBody:
         self.joints = np.empty((count, 3))
         """[55, 3] metres."""
         self.joints_by_shape = np.zeros((count, 3, BETAS))
-        """[55, 3, BETAS] metres a unit of shape, the pelvis held."""
+        """[55, 3, BETAS] metres per unit of shape, with the pelvis fixed."""
         self.frames[0] = rotation_matrices(place[3:]) @ facing
         self.joints[0] = place[:3]
         for joint in range(1, count):
@@ -79,25 +79,25 @@ class PosedBody:
             self.joints[joint] = self.joints[parent] + frame @ (self._rest[joint] - self._rest[parent])
             bone = self._rest_shape[joint] - self._rest_shape[parent]
             self.joints_by_shape[joint] = self.joints_by_shape[parent] + frame @ bone
-        # what turns when a number grows, as an axis in the camera: the root's three, then the hinges'
+        # axes of rotation in the camera, for the derivatives: the root's three, then the hinges'
         parents = self.frames[PARENTS[hinges.joints]]
         columns = _left_jacobians(turns[hinges.joints])[np.arange(len(hinges.joints)), :, hinges.axes]
         self._axes = np.concatenate([_left_jacobians(place[None, 3:])[0].T, np.einsum("dij,dj->di", parents, columns)])
         self._at = np.concatenate([np.zeros(3, np.intp), hinges.joints])
 
-    def turned(self, axis: F64) -> F64:
-        """[3, 3] how an axis [3] that is fixed to the root moves by the root's three numbers, a row each."""
+    def axis_derivatives(self, axis: F64) -> F64:
+        """Return the derivatives [3, 3] of an ``axis`` [3] fixed to the root, a row for each component of its turn."""
         return np.cross(self._axes[:3], axis)
 
     def points(self, points: Points) -> F64:
-        """[K, 3] where the points are."""
+        """Return the positions [K, 3] of points, metres."""
         return np.einsum("kn,knc->kc", points.weights, self._carried(points))
 
     def derivatives(self, points: Points) -> tuple[F64, F64]:
-        """[K, 3] where the points are, and [K, 3, BETAS + 6 + D] how they move by shape, place and angles."""
+        """Return positions [K, 3] and their derivatives [K, 3, BETAS + 6 + D] by shape, place and angles."""
         carried = self._carried(points)
         where = np.einsum("kn,knc->kc", points.weights, carried)
-        # of one joint alone: its frame times (the point's move - its own move) + its own move in the camera
+        # derivative for one joint: frame @ (point's derivative - joint's) + the joint's derivative in the camera
         frames = np.einsum("kn,knij->kij", points.weights, self.frames[points.joints])
         own = self.joints_by_shape - self.frames @ self._rest_shape  # [55, 3, BETAS]
         by_shape = frames @ points.shape + np.einsum("kn,knib->kib", points.weights, own[points.joints])
@@ -109,27 +109,27 @@ class PosedBody:
         return where, np.concatenate([by_shape, by_place, by_turn], axis=2)
 
     def _carried(self, points: Points) -> F64:
-        """[K, N, 3] each point as each of its joints alone would carry it."""
+        """Return the positions [K, N, 3] of points, moved by each of their joints alone."""
         rest = points.rest + points.shape @ self.betas
         arm = rest[:, None] - self._rest[points.joints]
         return np.einsum("knij,knj->kni", self.frames[points.joints], arm) + self.joints[points.joints]
 
 
-_ALL = Hinges(tuple((name, axis) for name in JOINT_NAMES[1:] for axis in range(3)))
+_ALL_HINGES = Hinges(tuple((name, axis) for name in JOINT_NAMES[1:] for axis in range(3)))
 
 
 def fully_posed(body: Body, betas: F64, root: F64, pelvis: F64, rotations: F64) -> PosedBody:
-    """The body in any pose: ``root`` [3, 3] and ``pelvis`` [3] in camera axes, axis-angles [55, 3] of the others."""
-    return PosedBody(body, _ALL, root, betas, np.concatenate([pelvis, np.zeros(3)]), rotations[1:].ravel())
+    """Return the body with ``root`` [3, 3] and ``pelvis`` [3] in camera axes and axis-angles ``rotations`` [55, 3]."""
+    return PosedBody(body, _ALL_HINGES, root, betas, np.concatenate([pelvis, np.zeros(3)]), rotations[1:].ravel())
 
 
-def column(joint: str, axis: int) -> int:
-    """Which of the derivatives of a ``fully_posed`` body is by this number of this joint's axis-angle."""
+def derivative_column(joint: str, axis: int) -> int:
+    """Return the column of a ``fully_posed`` body's derivatives by component ``axis`` of a joint's axis-angle."""
     return BETAS + PLACE + 3 * (JOINT_NAMES.index(joint) - 1) + axis
 
 
 def projected(where: F64, focal: float, centre: F64, moves: F64 | None = None) -> tuple[F64, F64]:
-    """Pixels [K, 2] of points [K, 3] in camera axes, and their derivatives [K, 2, P] from ``moves`` [K, 3, P]."""
+    """Return pixels [K, 2] of points [K, 3] in camera axes, and derivatives [K, 2, P] from ``moves`` [K, 3, P]."""
     depth = where[:, 2:]
     ratio = where[:, :2] / depth
     pixels = ratio * focal + centre
@@ -139,7 +139,7 @@ def projected(where: F64, focal: float, centre: F64, moves: F64 | None = None) -
 
 
 def _left_jacobians(turns: F64) -> F64:
-    """[N, 3, 3] J with exp(turn + e) = exp(J e) exp(turn) to first order, of axis-angles [N, 3]."""
+    """Return J [N, 3, 3] with exp(turn + e) = exp(J e) exp(turn) to first order, for axis-angles [N, 3]."""
     square = (turns * turns).sum(-1)
     angle = np.sqrt(square)
     small = angle < 1e-4

@@ -1,4 +1,4 @@
-"""Where the 33 landmarks of a pose network lie on the body: a point beside a joint each, and how far it strays."""
+"""Place the 33 landmarks of a pose network on the body: an offset from a joint, and a typical error, for each."""
 
 from __future__ import annotations
 
@@ -13,36 +13,16 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body, Points
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["LANDMARKS", "LANDMARK_COUNT", "Landmarks", "landmarks", "twin"]
+__all__ = ["LANDMARK_COUNT", "Landmarks", "landmarks"]
 
 F64 = NDArray[np.float64]
 
 LANDMARK_COUNT = 33
-"""Points that the network gives."""
-
-_SIDED = {  # joint of the person's left side -> landmark of the left side; the right one's number is one more
-    "left_shoulder": 11,
-    "left_elbow": 13,
-    "left_wrist": 15,
-    "left_pinky1": 17,
-    "left_index1": 19,
-    "left_thumb2": 21,
-    "left_hip": 23,
-    "left_knee": 25,
-    "left_ankle": 27,
-    "left_foot": 31,
-}
-LANDMARKS: tuple[tuple[int, str], ...] = (
-    (0, "head"),  # the nose
-    *((number, "head") for number in (2, 5, 7, 8, 9, 10)),  # eyes, ears, mouth's corners
-    *((number + side, ("left", "right")[side] + name[4:]) for name, number in _SIDED.items() for side in (0, 1)),
-    *((29 + side, ("left_ankle", "right_ankle")[side]) for side in (0, 1)),  # heels
-)
-"""Number of each landmark that is used, and the joint that carries it."""
+"""Number of the network's landmarks."""
 
 
-def twin(number: int) -> int:
-    """Number of the same landmark on the other side; the nose is its own."""
+def _mirror_number(number: int) -> int:
+    """Return the number of the landmark on the other side, or of the nose itself."""
     if number in (2, 5):
         return 7 - number
     return number if number == 0 else number + 1 if number % 2 else number - 1
@@ -50,21 +30,21 @@ def twin(number: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """The landmarks in use. Offsets and strays are shares of the stature, so that they fit every size."""
+    """The landmarks in use. Offsets and errors are fractions of the stature."""
 
     numbers: NDArray[np.intp]  # [L] in the network's order
     joints: NDArray[np.intp]  # [L]
     offsets: F64  # [L, 3] from the joint, in its rest frame
-    strays: F64  # [L] typical distance in the picture between where a landmark should be and where the network puts it
+    errors: F64  # [L] typical distance in the picture between the network's landmark and the true one
 
     @cached_property
-    def twins(self) -> NDArray[np.intp]:
-        """[L] row of the same landmark on the other side; the nose is its own."""
+    def mirror_rows(self) -> NDArray[np.intp]:
+        """[L] row of the landmark on the other side, or of the nose itself."""
         rows = {int(number): row for row, number in enumerate(self.numbers)}
-        return np.array([rows[twin(int(number))] for number in self.numbers], np.intp)
+        return np.array([rows[_mirror_number(int(number))] for number in self.numbers], np.intp)
 
     def points(self, body: Body) -> Points:
-        """The landmarks as points of the body, which its shape moves along."""
+        """Return the landmarks as points of the body."""
         size, grows = body.stature
         rest = body.joints[self.joints] + self.offsets * size
         shape = body.shape_joints[self.joints] + self.offsets[..., None] * grows
@@ -82,5 +62,5 @@ def landmarks() -> Landmarks:
         numbers=np.array([row["landmark"] for row in rows], np.intp),
         joints=np.array([JOINT_NAMES.index(row["joint"]) for row in rows], np.intp),
         offsets=np.array([row["offset"] for row in rows], np.float64),
-        strays=np.array([row["stray"] for row in rows], np.float64),
+        errors=np.array([row["stray"] for row in rows], np.float64),
     )

@@ -1,4 +1,4 @@
-"""Clothes and hair: how far the surface lies outside the fitted body, so that its outline meets the mask."""
+"""Offset the fitted body's surface by clothes and hair, so that its outline meets the mask."""
 
 from __future__ import annotations
 
@@ -7,81 +7,88 @@ from numpy.typing import NDArray
 from scipy.sparse import diags
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.compute.conjugate_gradients import solved
+from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MOST", "face_of", "outward", "smooth_offsets", "soles_of"]
+__all__ = ["OFFSET_RANGE_M", "face_vertices", "offset_directions", "smooth_offsets", "sole_vertices"]
 
 F64 = NDArray[np.float64]
 
-MOST = -0.03, 0.12
-"""Metres; no surface is moved farther in or out."""
+OFFSET_RANGE_M = -0.03, 0.12
+"""Limits of the offsets, inwards and outwards."""
 
-_BARE = {"index": 0.006, "middle": 0.006, "pinky": 0.006, "ring": 0.006, "thumb": 0.006, "wrist": 0.012, "foot": 0.03}
+# metres, by parts of joints' names: hands wear nothing, shoes have soles
+_MAX_OFFSET_M = {
+    "index": 0.006,
+    "middle": 0.006,
+    "pinky": 0.006,
+    "ring": 0.006,
+    "thumb": 0.006,
+    "wrist": 0.012,
+    "foot": 0.03,
+}
+# weights relative to that of a vertex on the outline
+_SMOOTHNESS_WEIGHT = 0.12  # of equal offsets of neighbours
+_ZERO_WEIGHT = 2e-3  # of a zero offset
+_HAIR_ZERO_WEIGHT = 3e-4  # the same under hair, which is about as thick behind as beside the face
 
-_STIFF = 0.12  # how much neighbours agree against how much a vertex on the outline obeys
-_SHY = 2e-3  # how much what no outline shows stays on the body
-
-_HAIR_SHY = 3e-4  # hair is about as thick behind as beside the face
-
-_EARS = 0.06  # metres of z in the zero pose, behind which the head's directions are smoothed
-_FACE = 0.08, 0.94  # metres of z and y in the zero pose: before the one and below the other a head is face
-_DOWN = -0.5  # cosine; a sole turns to the floor
-_EVENED = 20  # times
+# in the zero pose
+_EAR_Z_M = 0.06  # the head behind it has smoothed directions
+_FACE_MIN_Z_M, _FACE_MAX_Y_M = 0.08, 0.94
+_MAX_SOLE_NORMAL_Y = -0.5  # soles face the floor
+_SMOOTHING_ROUNDS = 20  # of directions
 
 
-def outward(body: Body, bare: F64) -> F64:
-    """[V, 3] unit directions in which clothes and hair lie on the surface ``bare`` [V, 3] of the zero pose.
+def offset_directions(body: Body, bare: F64) -> F64:
+    """Return the unit directions [V, 3] of offsets from the surface ``bare`` [V, 3] in the zero pose.
 
-    They are the normals; on the head behind the face, the skull's, so that ears under hair move as a whole; on toes,
-    the foot's, so that a shoe's cap does not bristle.
+    They are the normals, smoothed on the head behind the face, so that ears under hair move as a whole, and on toes,
+    so that a shoe's cap stays smooth.
     """
     normals = vertex_normals(bare, body.faces)
-    folded = (body.part == JOINT_NAMES.index("head")) & body.skin & (body.vertices[:, 2] < _EARS)
+    folded = (body.part == JOINT_NAMES.index("head")) & body.skin & (body.vertices[:, 2] < _EAR_Z_M)
     folded |= np.isin(body.part, [JOINT_NAMES.index(f"{side}_foot") for side in ("left", "right")])
     shares = 1 / np.asarray(body.neighbours.sum(axis=1)).ravel()[folded]
     near = diags(shares) @ body.neighbours[folded]
-    for _ in range(_EVENED):
+    for _ in range(_SMOOTHING_ROUNDS):
         normals[folded] = near @ normals
     return unit_vectors(normals, 1e-30)
 
 
-def face_of(body: Body) -> NDArray[np.bool_]:
-    """[V] the vertices of the face: it wears nothing, and from the side its outline is full of folds."""
+def face_vertices(body: Body) -> NDArray[np.bool_]:
+    """Return a mask [V] of the face, which wears nothing and has a folded outline from the side."""
     head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
-    return np.asarray(head & (body.vertices[:, 2] > _FACE[0]) & (body.vertices[:, 1] < _FACE[1]))
+    return np.asarray(head & (body.vertices[:, 2] > _FACE_MIN_Z_M) & (body.vertices[:, 1] < _FACE_MAX_Y_M))
 
 
-def soles_of(body: Body) -> NDArray[np.bool_]:
-    """[V] the vertices that somebody stands on."""
+def sole_vertices(body: Body) -> NDArray[np.bool_]:
+    """Return a mask [V] of the soles."""
     feet = [JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right") for name in ("ankle", "foot")]
-    down = vertex_normals(body.vertices, body.faces)[:, 1] < _DOWN
+    down = vertex_normals(body.vertices, body.faces)[:, 1] < _MAX_SOLE_NORMAL_Y
     return np.asarray(np.isin(body.part, feet) & down)
 
 
-def _hairy(body: Body) -> NDArray[np.bool_]:
-    """[V] the vertices that hair may lie on: head and neck but for face and throat."""
-    head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")])
-    return np.asarray(head & body.skin & (body.vertices[:, 2] < _EARS))
+def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, start: F64 | None = None) -> F64:
+    """Return offsets [V] in metres that are close to ``wanted`` [K] at ``vertices`` [K] and smooth elsewhere.
 
-
-def smooth_offsets(body: Body, vertices: NDArray[np.intp], wanted: F64, weights: F64, start: F64 | None = None) -> F64:
-    """[V] metres along the normals: close to ``wanted`` [K] at ``vertices`` [K], the smoothest elsewhere.
-
-    ``start`` [V] are about these, where that is known.
+    ``start`` [V] is a first guess.
     """
-    of_joint = [next((most for part, most in _BARE.items() if part in name), MOST[1]) for name in JOINT_NAMES]
-    most = np.array(of_joint)[body.part]  # hands wear nothing, shoes have soles
-    least = np.maximum(MOST[0], -most)
+    limits = [
+        next((limit for part, limit in _MAX_OFFSET_M.items() if part in name), OFFSET_RANGE_M[1])
+        for name in JOINT_NAMES
+    ]
+    most = np.array(limits)[body.part]
+    least = np.maximum(OFFSET_RANGE_M[0], -most)
     pull, target = np.zeros(len(body.vertices)), np.zeros(len(body.vertices))
-    np.add.at(pull, vertices, weights)
-    np.add.at(target, vertices, weights * wanted.clip(least[vertices], most[vertices]))
+    np.add.at(pull, vertices, 1.0)
+    np.add.at(target, vertices, wanted.clip(least[vertices], most[vertices]))
     degree = np.asarray(body.neighbours.sum(axis=1)).ravel()
-    shy = np.where(_hairy(body), _HAIR_SHY, _SHY)
-    scale = pull + _STIFF * degree + shy
-    matrix = diags(scale) - _STIFF * body.neighbours
+    head = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")])
+    hair = head & body.skin & (body.vertices[:, 2] < _EAR_Z_M)
+    scale = pull + _SMOOTHNESS_WEIGHT * degree + np.where(hair, _HAIR_ZERO_WEIGHT, _ZERO_WEIGHT)
+    matrix = diags(scale) - _SMOOTHNESS_WEIGHT * body.neighbours
     begin = np.zeros(len(target)) if start is None else start
-    offsets = solved(matrix.tocsr(), target[:, None], begin[:, None])[:, 0]
+    offsets = conjugate_gradients(matrix.tocsr(), target[:, None], begin[:, None])[:, 0]
     return np.asarray(np.where(body.skin, offsets, 0.0).clip(least, most))

@@ -1,4 +1,4 @@
-"""The outline of the projected body, and how far the picture's mask reaches beyond it or falls short of it."""
+"""Find the outline of the projected body, and its distances to the edge of the picture's mask."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "length
 
 F64 = NDArray[np.float64]
 
-_BRIM = 0.045, 0.02  # of the figure: what is less high and wider beside a head is no hair
+_MAX_BRIM_HEIGHT_FRACTION, _MIN_BRIM_WIDTH_FRACTION = 0.045, 0.02  # of the person's height; hair is higher
 
 
 def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """[H, W] pixels whose centres lie in a triangle that turns to the camera; ``pixels`` [V, 2], centres at +0.5."""
+    """Return the mask [H, W] of pixels whose centres lie in a triangle that faces the camera; ``pixels`` [V, 2]."""
     height, width = shape
-    seen = faces[:, [0, 2, 1]]  # counter-clockwise with y up is clockwise with y down
-    x, y = ([pixels[corner, axis] for corner in seen.T] for axis in (0, 1))
-    some = np.flatnonzero((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]) > 0)
-    x, y = ([corner[some] for corner in axis] for axis in (x, y))
+    turned = faces[:, [0, 2, 1]]  # counter-clockwise with y up is clockwise with y down
+    x, y = ([pixels[corner, axis] for corner in turned.T] for axis in (0, 1))
+    front = np.flatnonzero((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]) > 0)
+    x, y = ([corner[front] for corner in axis] for axis in (x, y))
     (left, wide), (top, high) = pixel_span(x[0], x[1], x[2], width), pixel_span(y[0], y[1], y[2], height)
     face, column, row = box_pixels(left, top, wide, high)
     hit = np.ones(len(face), bool)
@@ -41,7 +41,7 @@ def projected_mask(pixels: F64, faces: NDArray[np.int32], shape: tuple[int, int]
 
 
 def overlap(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Intersection over union of two masks of one shape; 1 for two empty ones."""
+    """Return the intersection over union of two masks of equal shape; 1 if both are empty."""
     union = int((first | second).sum())
     return int((first & second).sum()) / union if union else 1.0
 
@@ -52,17 +52,17 @@ class Rim:
 
     vertices: NDArray[np.intp]  # [K]
     pixels: F64  # [K, 2]
-    normals: F64  # [K, 2] unit, outwards in the picture
-    gaps: F64  # [K] pixels along the normal to the mask's edge, below zero inside the body; NaN: no edge in reach
+    normals: F64  # [K, 2] unit vectors, outwards in the picture
+    gaps: F64  # [K] pixels along the normal to the mask's edge, negative inside the body; NaN: no edge in reach
 
 
 def find_rim(
     body: Body, where: F64, pixels: F64, mask: NDArray[np.bool_], reach: float, flat: float
 ) -> tuple[Rim, NDArray[np.bool_]]:
-    """The rim of a posed body [V, 3] in camera axes that lies at ``pixels`` [V, 2], and its projected mask [H, W].
+    """Return the rim of a posed body [V, 3] in camera axes with ``pixels`` [V, 2], and its projected mask [H, W].
 
-    A vertex is on the rim where its normal is square to the line of sight (cosine below ``flat``) and the projected
-    mask ends beside it; edges are looked for ``reach`` pixels to both sides.
+    A vertex is on the rim if its normal is perpendicular to the line of sight (cosine below ``flat``) and the
+    projected mask ends beside it. Edges of ``mask`` are searched within ``reach`` pixels on both sides.
     """
     height, width = mask.shape
     drawn = projected_mask(pixels, body.faces, mask.shape)
@@ -78,12 +78,9 @@ def find_rim(
 
 
 def edge_distances(mask: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
-    """[K] pixels from ``start`` [K, 2] along unit ``along`` [K, 2] to the nearest place where the mask ends."""
+    """Return signed distances [K] in pixels from ``start`` [K, 2] along ``along`` [K, 2] to the mask's nearest edge."""
     steps = np.arange(-reach, reach + 0.5, 0.5)
-    looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
-    height, width = mask.shape
-    beyond = ((looked < 0) | (looked >= (width, height))).any(axis=2)
-    inside = mask[looked[..., 1].clip(0, height - 1), looked[..., 0].clip(0, width - 1)] & ~beyond
+    inside = _sampled(mask, start, along, steps)
     ends = inside[:, :-1] & ~inside[:, 1:]
     middle = (steps[:-1] + steps[1:]) / 2
     far = np.where(ends, np.abs(middle), np.inf)
@@ -92,22 +89,22 @@ def edge_distances(mask: NDArray[np.bool_], start: F64, along: F64, reach: float
 
 
 def brimless(mask: NDArray[np.bool_], figure: float) -> NDArray[np.bool_]:
-    """The ``mask`` without what stands far out of it and is flat, as brims of hats are; ``figure`` is its height."""
-    high = max(3, round(_BRIM[0] * figure))
+    """Return the ``mask`` without flat parts that stand out, as brims of hats; ``figure`` is its height in pixels."""
+    high = max(3, round(_MAX_BRIM_HEIGHT_FRACTION * figure))
     whole = mask.astype(np.uint8)
     flat = whole - cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((high, 1), np.uint8))
     _, pieces, sizes, _ = cv2.connectedComponentsWithStats(flat)
-    wide = np.flatnonzero(sizes[:, cv2.CC_STAT_WIDTH] > _BRIM[1] * figure)
+    wide = np.flatnonzero(sizes[:, cv2.CC_STAT_WIDTH] > _MIN_BRIM_WIDTH_FRACTION * figure)
     return np.asarray(mask & ~np.isin(pieces, wide[wide > 0]))
 
 
 def half_gaps(mask: NDArray[np.bool_], drawn: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
-    """[K] half the way from ``start`` along ``along`` through mask that no body covers to the next part of the body.
+    """Return half the distance [K] in pixels across gaps between two parts of the body that the mask fills.
 
-    So a skirt between two legs and a sleeve in an armpit are met from both sides. NaN where there is no such gap within
-    twice ``reach`` pixels.
+    ``drawn`` [H, W] is the body's mask. Both parts then meet in the middle, as for a skirt between legs or a sleeve in
+    an armpit. NaN if there is no such gap within twice ``reach`` pixels.
     """
-    steps = np.arange(2.0, 2 * reach, 0.5)  # the first steps are still on the outline itself
+    steps = np.arange(2.0, 2 * reach, 0.5)  # the first pixels lie on the outline itself
     looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
     height, width = mask.shape
     column, row = looked[..., 0].clip(0, width - 1), looked[..., 1].clip(0, height - 1)
@@ -119,14 +116,19 @@ def half_gaps(mask: NDArray[np.bool_], drawn: NDArray[np.bool_], start: F64, alo
 
 
 def lengths_inside(mask: NDArray[np.bool_], start: F64, along: F64, reach: float) -> F64:
-    """[K] pixels from ``start`` [K, 2] along unit ``along`` [K, 2] that lie in the ``mask`` [H, W] without a break.
+    """Return the distances [K] in pixels from ``start`` [K, 2] along ``along`` [K, 2] that stay in the ``mask``.
 
-    NaN where these are hardly one, or more than ``reach``.
+    NaN if shorter than about a pixel or longer than ``reach``.
     """
     steps = np.arange(0.0, reach + 0.5, 0.5)
-    looked = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
-    height, width = mask.shape
-    beyond = ((looked < 0) | (looked >= (width, height))).any(axis=2)
-    outside = beyond | ~mask[looked[..., 1].clip(0, height - 1), looked[..., 0].clip(0, width - 1)]
+    outside = ~_sampled(mask, start, along, steps)
     first = outside.argmax(axis=1)
     return np.where(outside.any(axis=1) & (first > 2), steps[first] - 0.25, np.nan)
+
+
+def _sampled(mask: NDArray[np.bool_], start: F64, along: F64, steps: F64) -> NDArray[np.bool_]:
+    """Return the mask's values [K, S] at ``steps`` [S] from ``start`` [K, 2]; false outside the picture."""
+    places = np.floor(start[:, None] + along[:, None] * steps[:, None]).astype(np.intp)
+    height, width = mask.shape
+    beyond = ((places < 0) | (places >= (width, height))).any(axis=2)
+    return np.asarray(mask[places[..., 1].clip(0, height - 1), places[..., 0].clip(0, width - 1)] & ~beyond)

@@ -1,4 +1,4 @@
-"""What is known before a picture is looked at: how people stand for it, how they are built, where a camera is held."""
+"""Priors of the fit: poses of people in pictures, their shape, and the camera's height."""
 
 from __future__ import annotations
 
@@ -10,11 +10,22 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.fit.kinematics import Hinges
 from glsplat.extras.authoring.fit.standing.arms import ArmMixture
 
-__all__ = ["CAMERA_HEIGHT", "HINGES", "MEAN", "POSED", "SHAPE_DOUBT", "SPREAD", "STATURE", "TURN_DOUBT", "PosePrior"]
+__all__ = [
+    "CAMERA_HEIGHT",
+    "HINGES",
+    "MEAN",
+    "POSED",
+    "ROLL_SD_RAD",
+    "SHAPE_SD",
+    "SPREAD",
+    "STATURE_M",
+    "TURN_SD_RAD",
+    "PosePrior",
+]
 
 F64 = NDArray[np.float64]
 
-# joint without its side -> axis, mean and standard deviation in radians, as the left side turns. The mean is a relaxed
+# joint without its side -> axis, mean and standard deviation in radians, for the left side. The mean is a relaxed
 # A-pose: upper arms some forty degrees below the horizontal, elbows and hips not quite straight.
 _SIDED: dict[str, tuple[tuple[int, float, float], ...]] = {
     "hip": ((0, 0.0, 0.08), (1, 0.0, 0.15), (2, 0.07, 0.15)),
@@ -35,7 +46,7 @@ _TABLE = [
 ] + [(name, axis, 0.0, spread) for name, spread in _MIDDLE.items() for axis in range(3)]
 
 HINGES = Hinges(tuple((name, axis) for name, axis, _, _ in _TABLE))
-"""The angles that are fitted."""
+"""The fitted angles (D)."""
 
 MEAN: F64 = np.array([mean for _, _, mean, _ in _TABLE])
 """[D] radians."""
@@ -43,12 +54,14 @@ MEAN: F64 = np.array([mean for _, _, mean, _ in _TABLE])
 SPREAD: F64 = np.array([spread for _, _, _, spread in _TABLE])
 """[D] radians, one standard deviation."""
 
-TURN_DOUBT: tuple[float, float] = 0.25, 0.05
-"""Standard deviation in radians of how a person is turned about the vertical, and of how a camera is rolled."""
+TURN_SD_RAD = 0.25
+"""Standard deviation of the person's turn about the vertical."""
 
+ROLL_SD_RAD = 0.05
+"""Standard deviation of the camera's roll."""
 
-SHAPE_DOUBT = 1.3
-"""Standard deviation of the numbers of shape: a little more than by the body's making (measured on known people)."""
+SHAPE_SD = 1.3
+"""Standard deviation of the shape parameters, measured on known people; a little larger than the body's own unit."""
 
 ARM_BONES: tuple[tuple[str, str], ...] = tuple(
     (f"{side}_{upper}", f"{side}_{lower}")
@@ -60,34 +73,34 @@ ARM_BONES: tuple[tuple[str, str], ...] = tuple(
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """How somebody may stand: what a fit begins with, and what it is drawn back to where a picture says nothing."""
+    """The prior of a pose: the start of a fit, and the distribution of its angles."""
 
     name: str
     mean: F64  # [D] radians
     spread: F64  # [D] radians, one standard deviation
-    turn: float = 0.0  # radians about the vertical, from what the view says
-    turn_doubt: float = TURN_DOUBT[0]
-    shape_doubt: float = SHAPE_DOUBT
-    sleeve: float = 0.008  # share of the figure: an arm's outline that lies farther off the bare arm says little of it
-    start: F64 | None = None  # [D] radians where that is not the mean
-    arms: ArmMixture | None = None  # what is known of arms instead
-    bones: F64 | None = None  # [4, 3] unit vectors in camera axes along ARM_BONES, where a network has said them
+    turn: float = 0.0  # radians about the vertical, relative to the view's
+    turn_sd: float = TURN_SD_RAD
+    shape_sd: float = SHAPE_SD
+    sleeve: float = 0.008  # fraction of the person's height: scale of an arm's distance from its outline
+    start: F64 | None = None  # [D] radians, if not the mean
+    arms: ArmMixture | None = None  # replaces the arms' distribution
+    bones: F64 | None = None  # [4, 3] unit vectors in camera axes along ARM_BONES, from a network
 
-    def begun(self) -> F64:
-        """[D] radians to begin with."""
+    def initial(self) -> F64:
+        """Return the angles [D] at the start of a fit, radians."""
         return self.mean if self.start is None else self.start
 
-    def about(self, angles: F64) -> tuple[F64, F64]:
-        """Mean [D] and what turns distances from it into standard deviations [D, D], near ``angles`` [D].
+    def near(self, angles: F64) -> tuple[F64, F64]:
+        """Return the mean [D] and whitening matrix [D, D] of the normal distribution near ``angles`` [D].
 
-        Of a mixture that is its likeliest kind there, one for each arm (max-mixtures: Olson and Agarwal, 2013).
+        A mixture contributes its most likely component for each arm (max-mixtures: Olson and Agarwal, 2013).
         """
         mean, factor = self.mean.copy(), np.diag(1 / self.spread)
         if self.arms is not None:
             for columns, signs in _ARMS:
-                kind = int(self.arms.levels((angles[columns] * signs)[None])[0].argmax())
+                kind = int(self.arms.log_densities((angles[columns] * signs)[None])[0].argmax())
                 mean[columns] = self.arms.means[kind] * signs
-                factor[np.ix_(columns, columns)] = self.arms.factors[kind] * signs
+                factor[np.ix_(columns, columns)] = self.arms.whitening[kind] * signs
         return mean, factor
 
 
@@ -100,13 +113,13 @@ _ARMS = tuple(
         np.array([1.0, out, out, out]),
     )
     for side, out in (("left", 1.0), ("right", -1.0))
-)  # of each arm its columns, and the signs that make a left one's of them
+)  # for each arm its columns, and the signs that mirror it to the left
 
 POSED = PosePrior("posed", MEAN, SPREAD)
-"""Somebody who stands for the picture, as they were asked to."""
+"""A person in the requested pose."""
 
-STATURE: tuple[float, float] = 1.70, 0.10
-"""Mean and standard deviation in metres where no height is given."""
+STATURE_M: tuple[float, float] = 1.70, 0.10
+"""Mean and standard deviation if no height is given."""
 
 CAMERA_HEIGHT: tuple[float, float] = 0.68, 0.06
-"""Where a camera is held, mean and standard deviation, in shares of the stature above the soles."""
+"""Mean and standard deviation of the camera's height above the soles, in fractions of the stature."""

@@ -1,9 +1,8 @@
-"""One picture of the person, as the fit takes it: mask, landmarks, camera, and from which side it shows them."""
+"""One picture of the person as input of the fit: mask, landmarks, camera and side."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -12,38 +11,29 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import own
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
+from glsplat.extras.authoring.networks.people import SIDES, degrees_between
 
-__all__ = ["SIDES", "View", "apart", "facing"]
+__all__ = ["View", "facing"]
 
 F64 = NDArray[np.float64]
-Degrees = TypeVar("Degrees", float, NDArray[np.float64])
 
-SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
-"""Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
-
-_LEAST_FIGURE = 64  # pixels
+_MIN_FIGURE_PX = 64
 
 
 def facing(turn: float) -> F64:
-    """[3, 3] left, up and front of somebody who has turned by so many degrees: columns, in camera axes (z away)."""
+    """Return the body's left, up and front after a ``turn`` in degrees, columns [3, 3] in camera axes (z away)."""
     cos, sin = np.round([np.cos(np.radians(turn)), np.sin(np.radians(turn))], 15)
     return np.array([[cos, 0.0, sin], [0.0, -1.0, 0.0], [sin, 0.0, -cos]])
 
 
-def apart(first: Degrees, second: float) -> Degrees:
-    """Degrees between two directions, or between each of many and one, 0 to 180."""
-    return abs((first - second + 180) % 360 - 180)
-
-
 @dataclass(frozen=True, eq=False, init=False)
 class View:
-    """A picture, checked: ``mask`` [H, W] true on the person, ``landmarks`` [33, 2] pixels with ``visibility`` [33].
+    """A checked picture: ``mask`` [H, W] true on the person, ``landmarks`` [33, 2] pixels with ``visibility`` [33].
 
-    ``focal`` in pixels, ``centre`` [2] the pixel of the optical axis (default: the picture's middle; pixel centres at
-    +0.5), ``side`` the side of the person that is seen: front, back, left or right; or ``turn``, about how many degrees
-    they have turned to their own left from facing the camera. ``world`` [33, 3] are the landmarks as rough metres about
-    the hips, x right, y down, z away, where a network gave them; ``face`` is how many degrees a face that is seen has
-    turned likewise. Raises FormatError.
+    ``focal`` is in pixels, ``centre`` [2] the pixel of the optical axis (default: the picture's middle; pixel centres
+    at +0.5). ``side`` is the visible side of the person (front, back, left or right), or ``turn`` their approximate
+    angle in degrees from facing the camera to their own left. ``world`` [33, 3] are the network's landmarks in rough
+    metres from the hips, x right, y down, z away; ``face`` is the face's turn in degrees. Raises FormatError.
     """
 
     mask: NDArray[np.bool_] = field(repr=False)
@@ -69,13 +59,13 @@ class View:
         world: ArrayLike | None = None,
         face: float | None = None,
     ) -> None:
-        seen = np.asarray(mask)
-        if seen.ndim != 2 or seen.dtype != np.bool_:
-            raise FormatError(f"a mask needs booleans of shape (H, W), not {seen.dtype} {seen.shape}")
-        rows = np.flatnonzero(seen.any(axis=1))
+        person = np.asarray(mask)
+        if person.ndim != 2 or person.dtype != np.bool_:
+            raise FormatError(f"a mask needs booleans of shape (H, W), not {person.dtype} {person.shape}")
+        rows = np.flatnonzero(person.any(axis=1))
         figure = float(rows[-1] - rows[0] + 1) if len(rows) else 0.0
-        if figure < _LEAST_FIGURE:
-            raise FormatError(f"a mask needs a person at least {_LEAST_FIGURE} pixels high, found {figure:.0f}")
+        if figure < _MIN_FIGURE_PX:
+            raise FormatError(f"a mask needs a person at least {_MIN_FIGURE_PX} pixels high, found {figure:.0f}")
         where = own(landmarks, np.float64, "landmarks")
         sure = own(visibility, np.float64, "visibility")
         if where.shape != (LANDMARK_COUNT, 2) or sure.shape != (LANDMARK_COUNT,):
@@ -86,7 +76,7 @@ class View:
         metres = None if world is None else own(world, np.float64, "world landmarks")
         if metres is not None and (metres.shape != (LANDMARK_COUNT, 3) or not np.isfinite(metres).all()):
             raise FormatError(f"world landmarks need finite numbers ({LANDMARK_COUNT}, 3), not {metres.shape}")
-        middle = own(np.array(seen.shape[::-1]) / 2 if centre is None else centre, np.float64, "centre")
+        middle = own(np.array(person.shape[::-1]) / 2 if centre is None else centre, np.float64, "centre")
         finite = np.isfinite(where).all() and np.isfinite(sure).all() and np.isfinite(middle).all()
         if not finite or middle.shape != (2,):
             raise FormatError("landmarks, visibility and centre [2] of a view need finite numbers")
@@ -97,28 +87,28 @@ class View:
         if turn is not None:
             if not np.isfinite(turn):
                 raise FormatError(f"a view's turn needs degrees, not {turn}")
-            side = min(SIDES, key=lambda name: apart(turn, SIDES[name]))
+            side = min(SIDES, key=lambda name: degrees_between(turn, SIDES[name]))
         if face is not None and not np.isfinite(face):
             raise FormatError(f"a face's turn needs degrees, not {face}")
-        keep = object.__setattr__
-        keep(self, "mask", seen)
-        keep(self, "landmarks", where)
-        keep(self, "visibility", sure.clip(0.0, 1.0))
-        keep(self, "focal", float(focal))
-        keep(self, "centre", middle)
-        keep(self, "side", side)
-        keep(self, "turn", SIDES[side] if turn is None else float(turn))
-        keep(self, "world", metres)
-        keep(self, "face", None if face is None else float(face))
-        keep(self, "figure", figure)
+        set_field = object.__setattr__
+        set_field(self, "mask", person)
+        set_field(self, "landmarks", where)
+        set_field(self, "visibility", sure.clip(0.0, 1.0))
+        set_field(self, "focal", float(focal))
+        set_field(self, "centre", middle)
+        set_field(self, "side", side)
+        set_field(self, "turn", SIDES[side] if turn is None else float(turn))
+        set_field(self, "world", metres)
+        set_field(self, "face", None if face is None else float(face))
+        set_field(self, "figure", figure)
 
     @property
     def facing(self) -> F64:
-        """[3, 3] how the person stands; see ``facing``."""
+        """[3, 3] the person's axes in the camera's; see ``facing``."""
         return facing(self.turn)
 
     def smaller(self, figure: float) -> View:
-        """The same view with the person ``figure`` pixels high; itself where they are smaller already."""
+        """Return the view with the person at most ``figure`` pixels high."""
         scale = figure / self.figure
         if scale >= 1:
             return self

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from glsplat.camera import Camera, look_at
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.visibility import sphere
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -34,7 +34,7 @@ def ambient_occlusion(mesh: RiggedMesh, vertices: F64, directions: int = _DIRECT
     arrives, whole = np.zeros(len(vertices)), np.zeros(len(vertices))
     ways = sphere(directions)
     for direction, open_ in zip(
-        ways, abreast(lambda way: reached_from(mesh, vertices, way, normals), ways), strict=True
+        ways, map_threads(lambda way: reached_from(mesh, vertices, way, normals), ways), strict=True
     ):
         cosine = np.maximum(normals @ direction, 0)
         arrives += cosine * open_

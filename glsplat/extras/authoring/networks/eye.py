@@ -1,4 +1,4 @@
-"""An eye: its iris and lids, and what a picture says of it."""
+"""Find an eye's iris and lids, and read its colours from a picture."""
 
 from __future__ import annotations
 
@@ -10,77 +10,78 @@ from numpy.typing import NDArray
 
 from .network import Crop, network
 
-__all__ = ["Eye", "EyeLook", "eye_between", "look_of_eye"]
+__all__ = ["Eye", "EyeLook", "find_eye", "read_eye"]
 
 F64 = NDArray[np.float64]
 
-_EYE = 64  # pixels of the network's input
-_WIDER = 2.3  # times as wide as the eye is what it sees
-_BROWN, _WHITE = (58.0, 42.0, 32.0), (190.0, 182.0, 174.0)  # of 255: where no eye is seen
-_OPEN = 0.25  # a seen eye's height in widths
-_CONTRAST = 1.9  # brightness of a seen eye's white on both sides of the iris, in that of the iris
-_SAMPLES = 4  # a pixel, each way
-_RING, _SURROUND = (0.45, 0.9), 1.15  # iris radii: where the iris shows its colour, and where the white begins
-_BRIGHTEST = 60  # percent of the white that lids and lashes shade
+_INPUT_PX = 64  # side of the network's input
+_CROP_FACTOR = 2.3  # side of the crop in widths of the eye
+_DEFAULT_IRIS, _DEFAULT_WHITE = (58.0, 42.0, 32.0), (190.0, 182.0, 174.0)  # sRGB of 255, if no eye is visible
+_MIN_OPENING_FRACTION = 0.25  # height of a visible eye in widths
+_MIN_CONTRAST_FACTOR = 1.9  # brightness of the white on both sides of a visible iris, in that of the iris
+_SAMPLES_PER_PX = 4  # in each direction
+_IRIS_RADII, _MIN_WHITE_RADII = (0.45, 0.9), 1.15  # in iris radii: between pupil and rim, and beyond the rim
+_SHADED_PERCENT = 60  # of the white, by lids and lashes
 
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """What the iris network says of one eye; pixels of the picture."""
+    """The iris network's result for one eye, in pixels of the picture."""
 
     iris: NDArray[np.float64]
-    """[5, 2] its centre, then four points on its rim."""
+    """[5, 2] the centre, then four points on the rim."""
     lids: NDArray[np.float64]
-    """[71, 2] the eye's outline (the first 16), and the brow."""
+    """[71, 2] the eye's outline (first 16) and brow."""
     crop: Crop
 
 
 @dataclass(frozen=True, eq=False)
 class EyeLook:
-    """What a picture says of one eye. The colours are to be used in any case: of an unseen eye they are the other's."""
+    """An eye's place and colours in a picture. An invisible eye has default colours, or those of the other one."""
 
-    seen: bool  # open, and no hair over it
-    iris: F64  # [2] pixels, its centre; NaN where it is not seen
-    radius: float  # pixels of the iris; NaN where it is not seen
+    visible: bool  # open, and not under hair
+    iris: F64  # [2] pixels, its centre; NaN if not visible
+    radius: float  # pixels of the iris; NaN if not visible
     iris_colour: F64  # [3] RGB of 255
     white_colour: F64  # [3] RGB of 255
 
 
-def eye_between(picture: NDArray[np.uint8], corners: F64, turn: float) -> Eye:
-    """The eye with ``corners`` [2, 2] in pixels on a head that leans by ``turn`` radians; of a closed eye a guess."""
+def find_eye(picture: NDArray[np.uint8], corners: F64, turn: float) -> Eye:
+    """Return the eye with ``corners`` [2, 2] in pixels on a head that leans by ``turn`` radians; a guess if closed."""
     middle, width = corners.mean(axis=0), max(float(np.hypot(*(corners[0] - corners[1]))), 1.0)
-    crop = Crop(float(middle[0]), float(middle[1]), _WIDER * width, turn)
-    lids, iris = sorted(network("iris_landmark")(crop.cut(picture, _EYE)), key=len, reverse=True)
+    crop = Crop(float(middle[0]), float(middle[1]), _CROP_FACTOR * width, turn)
+    lids, iris = sorted(network("iris_landmark")(crop.cut(picture, _INPUT_PX)), key=len, reverse=True)
     return Eye(
-        iris=crop.to_picture(iris.reshape(5, 3)[:, :2].astype(np.float64), _EYE),
-        lids=crop.to_picture(lids.reshape(71, 3)[:, :2].astype(np.float64), _EYE),
+        iris=crop.to_picture(iris.reshape(5, 3)[:, :2].astype(np.float64), _INPUT_PX),
+        lids=crop.to_picture(lids.reshape(71, 3)[:, :2].astype(np.float64), _INPUT_PX),
         crop=crop,
     )
 
 
-def look_of_eye(picture: NDArray[np.uint8], eye: Eye) -> EyeLook:
-    """One eye alone. It is seen where its lids are apart and a dark iris lies between brighter whites."""
+def read_eye(picture: NDArray[np.uint8], eye: Eye) -> EyeLook:
+    """Return an eye's colours. It is visible if its lids are apart and a dark iris lies between brighter whites."""
     outline, centre = eye.lids[:16], eye.iris[0]
     radius = float(np.linalg.norm(eye.iris[1:] - centre, axis=1).mean())
-    hidden = EyeLook(False, np.full(2, np.nan), np.nan, np.array(_BROWN), np.array(_WHITE))
+    hidden = EyeLook(False, np.full(2, np.nan), np.nan, np.array(_DEFAULT_IRIS), np.array(_DEFAULT_WHITE))
     low, high = outline.min(axis=0), outline.max(axis=0)
-    if not np.isfinite(outline).all() or high[1] - low[1] < _OPEN * (high[0] - low[0]) or radius < 1:
+    opening = _MIN_OPENING_FRACTION * (high[0] - low[0])
+    if not np.isfinite(outline).all() or high[1] - low[1] < opening or radius < 1:
         return hidden
-    columns, rows = (np.arange(low[k], high[k], 1 / _SAMPLES) for k in (0, 1))
+    columns, rows = (np.arange(low[k], high[k], 1 / _SAMPLES_PER_PX) for k in (0, 1))
     x, y = np.meshgrid(columns, rows)
     colours = cv2.remap(picture, (x - 0.5).astype(np.float32), (y - 0.5).astype(np.float32), cv2.INTER_LINEAR)
     colours = colours.astype(np.float64)
     lids = np.zeros(x.shape, np.uint8)
-    cv2.fillConvexPoly(lids, cv2.convexHull(np.round((outline - low) * _SAMPLES).astype(np.int32)), 1)
+    cv2.fillConvexPoly(lids, cv2.convexHull(np.round((outline - low) * _SAMPLES_PER_PX).astype(np.int32)), 1)
     far = np.hypot(x - centre[0], y - centre[1]) / radius
-    white, ring = (lids > 0) & (far > _SURROUND), (lids > 0) & (far > _RING[0]) & (far < _RING[1])
-    dark = (lids > 0) & (far < _RING[1])
+    white, dark = (lids > 0) & (far > _MIN_WHITE_RADII), (lids > 0) & (far < _IRIS_RADII[1])
+    ring = dark & (far > _IRIS_RADII[0])
     sides = white & (x < centre[0]), white & (x >= centre[0])
-    if min(side.sum() for side in (*sides, ring)) < _SAMPLES**2:
+    if min(side.sum() for side in (*sides, ring)) < _SAMPLES_PER_PX**2:
         return hidden
     light = colours @ (0.299, 0.587, 0.114)
     whites = min(float(np.percentile(light[side], 80)) for side in sides)
-    if whites < _CONTRAST * max(float(np.percentile(light[dark], 25)), 1.0):
+    if whites < _MIN_CONTRAST_FACTOR * max(float(np.percentile(light[dark], 25)), 1.0):
         return hidden
-    bright = white & (light >= np.percentile(light[white], _BRIGHTEST))
+    bright = white & (light >= np.percentile(light[white], _SHADED_PERCENT))
     return EyeLook(True, centre, radius, np.median(colours[ring], axis=0), np.median(colours[bright], axis=0))

@@ -1,4 +1,4 @@
-"""A hand: 21 landmarks, found from where the body network saw the wrist and the knuckles."""
+"""Find a hand's 21 landmarks, from the body network's wrist and knuckles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .network import Crop, network
 from .person import DetectedBody
 
-__all__ = ["LANDMARKS", "Hand", "find_hand", "hand_in"]
+__all__ = ["LANDMARKS", "Hand", "find_hand"]
 
 LANDMARKS = (
     "wrist thumb_cmc thumb_mcp thumb_ip thumb_tip index_mcp index_pip index_dip index_tip middle_mcp middle_pip "
@@ -18,62 +18,47 @@ LANDMARKS = (
 ).split()
 """Names of the 21 landmarks, in order."""
 
-_SIDE = 224
-_ROUNDS = 2  # the second crop comes from the first landmarks, which know the fingers
-_KNUCKLES = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]  # the hand without its finger tips, which move
+_INPUT_PX = 224  # side of the network's input
+_CROP_ROUNDS = 2  # the second crop comes from the first landmarks
+_CROP_LANDMARKS = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]  # without the outer finger joints, which move
 
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """What the hand network says of one hand."""
+    """The hand network's result for one hand."""
 
     points: NDArray[np.float64]
     """[21, 2] pixels of the picture (first pixel's centre at 0.5), in the order of LANDMARKS."""
     world: NDArray[np.float64]
-    """[21, 3] metres, turned as in the picture: x right, y down, z away; the origin lies in the hand."""
+    """[21, 3] metres from a point in the hand; x right, y down, z away from the camera."""
     presence: float
-    """From 0 to 1: that the crop shows a hand."""
+    """Probability that the crop shows a hand."""
     crop: Crop
-    """The square that the network saw."""
+    """The network's input."""
 
 
 def find_hand(picture: NDArray[np.uint8], body: DetectedBody, side: str) -> Hand:
-    """The body's ``left`` or ``right`` hand; ``presence`` says whether it is there."""
+    """Return the body's ``left`` or ``right`` hand; a low ``presence`` means that it is not shown."""
     wrist = body.point(f"{side}_wrist")
     fingers = (body.point(f"{side}_index") + body.point(f"{side}_pinky")) / 2
     along = fingers - wrist
     reach = max(float(np.hypot(*along)), 1.0)
     middle = wrist + 1.2 * along
-    return hand_in(picture, Crop(float(middle[0]), float(middle[1]), 3.6 * reach, _turn(along)))
-
-
-def hand_in(picture: NDArray[np.uint8], crop: Crop) -> Hand:
-    """The hand that a rough crop shows, fingers up in it."""
+    crop = Crop(float(middle[0]), float(middle[1]), 3.6 * reach, _turn(along))
     net = network("hand_landmark_full", ("Identity", "Identity_1", "Identity_3"))
-    for step in range(_ROUNDS):
-        marks, presence, world = net(crop.cut(picture, _SIDE))
-        points = crop.to_picture(marks.reshape(21, 3)[:, :2].astype(np.float64), _SIDE)
-        if presence[0] < 0.2 or step == _ROUNDS - 1:
+    for step in range(_CROP_ROUNDS):
+        marks, presence, world = net(crop.cut(picture, _INPUT_PX))
+        points = crop.to_picture(marks.reshape(21, 3)[:, :2].astype(np.float64), _INPUT_PX)
+        if presence[0] < 0.2 or step == _CROP_ROUNDS - 1:
             break
-        crop = _around(points)
+        along = points[[5, 9, 13]].mean(axis=0) - points[0]
+        crop = Crop.around(points[_CROP_LANDMARKS], _turn(along), 2.0, up=0.1)
     cos, sin = np.cos(crop.turn), np.sin(crop.turn)
     upright = world.reshape(21, 3).astype(np.float64)
     turned = np.column_stack([upright[:, :2] @ np.array([[cos, sin], [-sin, cos]]), upright[:, 2]])
     return Hand(points, turned, float(presence[0]), crop)
 
 
-def _around(points: NDArray[np.float64]) -> Crop:
-    """The square that the network is meant to see of these landmarks."""
-    along = points[[5, 9, 13]].mean(axis=0) - points[0]
-    turn = _turn(along)
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])  # rows: right and down in the crop
-    inner = points[_KNUCKLES] @ axes.T
-    low, high = inner.min(axis=0), inner.max(axis=0)
-    side = float((high - low).max())
-    middle = ((low + high) / 2 + (0, -0.1 * side)) @ axes
-    return Crop(float(middle[0]), float(middle[1]), 2.0 * max(side, 1.0), turn)
-
-
 def _turn(along: NDArray[np.float64]) -> float:
-    """The turn of a crop in which ``along`` points up."""
+    """Return the turn in radians of a crop in which the direction ``along`` [2] points up."""
     return float(np.arctan2(along[0], -along[1]))

@@ -1,26 +1,32 @@
-"""One person, read by all networks: body, face and hands, and which side of the person the picture shows."""
+"""Find one person's body, face and hands with all networks, and the side of the person that a picture shows."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.compute.threads import run_in_background
 
-from .face import Face, find_face, shows_face
+from .face import Face, face_probability, find_face
 from .hand import Hand, find_hand
 from .person import LANDMARKS, DetectedBody, find_body
 
-__all__ = ["DetectedPerson", "find_person", "swapped"]
+__all__ = ["SIDES", "DetectedPerson", "degrees_between", "find_person", "swap_sides"]
 
-_SURE = 0.9  # of a face: fronts give 0.98 and more, backs 0.01 and less
-_HEAD = (  # of the face mesh, in the order of LANDMARKS
-    *((1,), (362,), (362, 263), (263,), (133,), (133, 33), (33,)),  # nose; left and right eye from within
+Degrees = TypeVar("Degrees", float, NDArray[np.float64])
+
+SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
+"""Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
+
+_MIN_FACE_PROBABILITY = 0.9  # fronts have at least 0.98, backs at most 0.01
+_HEAD_FROM_FACE = (  # points of the face mesh whose means replace the head's LANDMARKS, in their order
+    *((1,), (362,), (362, 263), (263,), (133,), (133, 33), (33,)),  # nose; left and right eye from its inner corner
     *((454,), (234,), (291,), (61,)),  # ears, mouth's corners
 )
-_OTHER = [
+_OPPOSITE = [
     LANDMARKS.index(
         name.replace("left", "right") if "left" in name else name.replace("right", "left") if "right" in name else name
     )
@@ -30,47 +36,52 @@ _OTHER = [
 
 @dataclass(frozen=True, eq=False)
 class DetectedPerson:
-    """What the networks say of one person."""
+    """The networks' results for one person."""
 
     body: DetectedBody
     face: Face
-    """Its ``presence`` is near 0 in a picture from behind."""
+    """Its ``presence`` is near 0 from behind."""
     left_hand: Hand
     right_hand: Hand
 
     @property
     def turn(self) -> float:
-        """Radians the shoulders are turned from facing the camera: 0 in front, about pi from behind."""
+        """Angle in radians between facing the camera and the shoulders: 0 from the front, about pi from behind."""
         across = self.body.world[LANDMARKS.index("left_shoulder")] - self.body.world[LANDMARKS.index("right_shoulder")]
         return float(np.arctan2(across[2], across[0]))
 
 
 def find_person(picture: NDArray[np.uint8], people: NDArray[np.float32] | None = None) -> DetectedPerson | None:
-    """The largest person in an RGB picture, or None. ``people`` is ``people_mask(picture)`` where it is known."""
+    """Return the largest person in an RGB picture, or None. ``people`` is ``people_mask(picture)`` if known."""
     body = find_body(picture, people)
     if body is None:
         return None
     mirrored = body.point("left_shoulder")[0] < body.point("right_shoulder")[0]
-    if mirrored and shows_face(picture, body) > _SURE:
-        body = swapped(body)  # hair over the face, and the body network takes the person for one seen from behind
-    hands = aside(lambda: [find_hand(picture, body, side) for side in ("left", "right")])
+    if mirrored and face_probability(picture, body) > _MIN_FACE_PROBABILITY:
+        body = swap_sides(body)  # with hair over the face the body network reports a back
+    hands = run_in_background(lambda: [find_hand(picture, body, side) for side in ("left", "right")])
     face = find_face(picture, body)
     left, right = hands()
-    return DetectedPerson(_with_head(body, face) if face.elsewhere else body, face, left, right)
+    return DetectedPerson(_with_head(body, face) if face.displaced else body, face, left, right)
 
 
 def _with_head(body: DetectedBody, face: Face) -> DetectedBody:
-    """The body with the landmarks of its head where the face has them; ears are at the face's sides."""
+    """Return the body with its head's landmarks taken from the face; ears are at the face's sides."""
     points = body.points.copy()
-    points[: len(_HEAD)] = [face.points[list(marks), :2].mean(axis=0) for marks in _HEAD]
+    points[: len(_HEAD_FROM_FACE)] = [face.points[list(marks), :2].mean(axis=0) for marks in _HEAD_FROM_FACE]
     return replace(body, points=points)
 
 
-def swapped(body: DetectedBody) -> DetectedBody:
-    """The same outline seen from the other side: left and right change names, near and far change places."""
+def degrees_between(first: Degrees, second: float) -> Degrees:
+    """Return the angle between two directions in degrees, or between each of many and one, 0 to 180."""
+    return abs((first - second + 180) % 360 - 180)
+
+
+def swap_sides(body: DetectedBody) -> DetectedBody:
+    """Return the body as seen from the opposite side: left and right exchanged, depths negated."""
     return replace(
         body,
-        points=body.points[_OTHER],
-        visible=body.visible[_OTHER],
-        world=body.world[_OTHER] * (1.0, 1.0, -1.0),
+        points=body.points[_OPPOSITE],
+        visible=body.visible[_OPPOSITE],
+        world=body.world[_OPPOSITE] * (1.0, 1.0, -1.0),
     )

@@ -1,4 +1,4 @@
-"""A person in a picture: where people are at all, and one person's 33 landmarks and mask."""
+"""Find people in a picture, and one person's 33 landmarks and mask."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .network import Crop, network, sigmoid
 
-__all__ = ["LANDMARKS", "DetectedBody", "body_in", "bounds", "find_body", "people_mask"]
+__all__ = ["LANDMARKS", "DetectedBody", "bounds", "enclosing_square", "find_body", "find_body_in_box", "people_mask"]
 
 LANDMARKS = (
     "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear "
@@ -18,72 +18,74 @@ LANDMARKS = (
     "right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee left_ankle "
     "right_ankle left_heel right_heel left_foot_index right_foot_index"
 ).split()
-"""Names of the 33 landmarks, in order. Left and right are the person's own."""
+"""Names of the 33 landmarks, in order; left and right are the person's own."""
 
-_SIDE = 256  # pixels of both networks' input
-_MARGIN = 1.25  # the crop's side in sides of the person's box, as the network was trained
-_ROUNDS = 2  # the second crop comes from the first mask
+_INPUT_PX = 256  # side of both networks' inputs
+_CROP_FACTOR = 1.25  # the crop's side in sides of the person's box, as the network was trained
+_CROP_ROUNDS = 2  # the second crop is the box of the first mask
 
 
 @dataclass(frozen=True, eq=False)
 class DetectedBody:
-    """What the body network says of one person."""
+    """The body network's result for one person."""
 
     points: NDArray[np.float64]
     """[33, 2] pixels of the picture (first pixel's centre at 0.5), in the order of LANDMARKS."""
     visible: NDArray[np.float64]
-    """[33] from 0 to 1: the network's belief that the landmark is in the picture and not hidden."""
+    """[33] probability that the landmark is in the picture and not hidden."""
     world: NDArray[np.float64]
-    """[33, 3] metres of an average person, hips' middle at the origin; x right and y down in the picture, z away."""
+    """[33, 3] metres for a person of average size, from the hips' middle; x right, y down, z away from the camera."""
     presence: float
-    """From 0 to 1: that there is a person in the crop at all."""
+    """Probability that the crop shows a person."""
     mask: NDArray[np.float32]
-    """[H, W] from 0 to 1: the person; as coarse as 256 pixels over the crop."""
+    """[H, W] probability that a pixel shows the person, at a resolution of 256 pixels over the crop."""
     crop: Crop
-    """The square that the network saw."""
+    """The network's input."""
 
     def point(self, name: str) -> NDArray[np.float64]:
-        """[2] the landmark of this name."""
+        """Return the pixel [2] of the landmark ``name``."""
         return self.points[LANDMARKS.index(name)]
 
 
 def people_mask(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """[256, 256] from 0 to 1: where people are. The whole picture in its middle, its longer side from edge to edge."""
-    return network("selfie_segmentation")(whole(picture).cut(picture, _SIDE))[0].reshape(_SIDE, _SIDE)
+    """Return the probability [256, 256] that people are shown, over the picture's ``enclosing_square``."""
+    crop = enclosing_square(picture).cut(picture, _INPUT_PX)
+    return network("selfie_segmentation")(crop)[0].reshape(_INPUT_PX, _INPUT_PX)
 
 
-def whole(picture: NDArray[np.uint8]) -> Crop:
-    """The smallest square around the picture."""
+def enclosing_square(picture: NDArray[np.uint8]) -> Crop:
+    """Return the smallest square around the picture."""
     height, width = picture.shape[:2]
     return Crop(width / 2, height / 2, max(height, width))
 
 
 def find_body(picture: NDArray[np.uint8], people: NDArray[np.float32] | None = None) -> DetectedBody | None:
-    """The person whom the largest patch of ``people`` (default: ``people_mask``) shows; None where there is none."""
+    """Return the person at the largest patch of ``people`` (default: ``people_mask``), or None if there is no patch."""
     mask = people_mask(picture) if people is None else people
     count, labels, stats, _ = cv2.connectedComponentsWithStats((mask > 0.5).astype(np.uint8))
     if count < 2:
         return None
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
     box = bounds(labels == largest)
-    corners = whole(picture).to_picture(box.reshape(2, 2), _SIDE)
-    return body_in(picture, corners.ravel())
+    corners = enclosing_square(picture).to_picture(box.reshape(2, 2), _INPUT_PX)
+    return find_body_in_box(picture, corners.ravel())
 
 
-def body_in(picture: NDArray[np.uint8], box: NDArray[np.float64]) -> DetectedBody:
-    """The person in a box (x0, y0, x1, y1) of the picture's pixels. The box may be rough: it is found again."""
+def find_body_in_box(picture: NDArray[np.uint8], box: NDArray[np.float64]) -> DetectedBody:
+    """Return the person in a rough box (x0, y0, x1, y1) in pixels, which the first mask refines."""
     net = network("pose_landmark_full", ("Identity", "Identity_1", "Identity_2", "Identity_4"))
-    for _ in range(_ROUNDS):
-        crop = Crop((box[0] + box[2]) / 2, (box[1] + box[3]) / 2, _MARGIN * max(box[2] - box[0], box[3] - box[1], 1.0))
-        marks, presence, mask, world = net(crop.cut(picture, _SIDE))
-        soft = sigmoid(mask.reshape(_SIDE, _SIDE))
+    for _ in range(_CROP_ROUNDS):
+        side = _CROP_FACTOR * max(box[2] - box[0], box[3] - box[1], 1.0)
+        crop = Crop((box[0] + box[2]) / 2, (box[1] + box[3]) / 2, side)
+        marks, presence, mask, world = net(crop.cut(picture, _INPUT_PX))
+        soft = sigmoid(mask.reshape(_INPUT_PX, _INPUT_PX))
         if not (soft > 0.5).any():
             break
-        corners = crop.to_picture(bounds(soft > 0.5).reshape(2, 2), _SIDE)
+        corners = crop.to_picture(bounds(soft > 0.5).reshape(2, 2), _INPUT_PX)
         box = corners.ravel()
     rows = marks.reshape(39, 5)[:33].astype(np.float64)
     return DetectedBody(
-        points=crop.to_picture(rows[:, :2], _SIDE),
+        points=crop.to_picture(rows[:, :2], _INPUT_PX),
         visible=sigmoid(rows[:, 3].astype(np.float32)).astype(np.float64),
         world=world.reshape(39, 3)[:33].astype(np.float64),
         presence=float(presence[0]),
@@ -93,7 +95,7 @@ def body_in(picture: NDArray[np.uint8], box: NDArray[np.float64]) -> DetectedBod
 
 
 def bounds(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(x0, y0, x1, y1) around what is set in [H, W], from pixel edge to pixel edge; zeros where nothing is."""
+    """Return the box (x0, y0, x1, y1) of the set pixels of [H, W], from edge to edge; zeros for an empty mask."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return np.zeros(4)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.compute.compiled import available
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.posed import PosedSplats
 from glsplat.io.cores import cores
 
@@ -106,11 +106,11 @@ def view_consistent(avatar: Avatar, normals: F64, occlusion: F64, shade: F64 | N
         return found
 
     pairs = ((splats, camera) for splats, cameras in consistency_views(avatar) for camera in cameras)
-    views = abreast(projected, pairs)
+    views = map_threads(projected, pairs)
     values = np.concatenate([normals, occlusion[:, None], np.log2(shade)[:, None]], axis=1)
     for _ in range(_ROUNDS):
         sums = np.zeros((len(values), SUMS))
-        for view, found in zip(views, abreast(sums_of, views), strict=True):
+        for view, found in zip(views, map_threads(sums_of, views), strict=True):
             sums[view.visible] += found
         weight, whole = sums[:, 5:6] + _OWN_WEIGHT_PX, sums[:, 6:7]
         total = values * _OWN_WEIGHT_PX + sums[:, :5]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -61,7 +61,7 @@ def _baked(part: MeshPart, uv: F64, size: tuple[int, int], colours: Colours) -> 
         rgb = colours(SurfacePoints(corners[texels.face[some]], texels.weights[some]))
         texture[texels.index[some]] = np.rint(np.clip(rgb, 0, 1) * 255)
 
-    abreast(coloured, [slice(first, first + _CHUNK) for first in range(0, len(texels.index), _CHUNK)])
+    map_threads(coloured, [slice(first, first + _CHUNK) for first in range(0, len(texels.index), _CHUNK)])
     painted = np.zeros(height * width, np.uint8)
     painted[texels.index] = 1
     whole = _carried_on(texture.reshape(height, width, 3), painted.reshape(height, width))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at
-from glsplat.extras.authoring.body.segments import half_width
+from glsplat.extras.authoring.body.segments import trunk_half_width
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -107,7 +107,7 @@ class Front:
 def find_twins(mesh: RiggedMesh, trunk: NDArray[np.bool_], front: Front | None = None) -> Twins:
     """The twins of all vertices of a body in the zero pose; ``trunk`` [V] marks chest, belly and hips."""
     vertices, front = mesh.vertices, front or Front(mesh)
-    half = half_width(vertices, trunk)
+    half = trunk_half_width(vertices, trunk)
     even = np.full(len(half), np.median(half[trunk]) if trunk.any() else 0.0)  # straight stripes are straight behind
     sides = []
     for aside, width in ((_ASIDE, half), (_strip(mesh), even)):

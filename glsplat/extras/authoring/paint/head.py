@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import trunk_of
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.body.segments import trunk_vertices
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.strands import Strands, strands_of
 from glsplat.extras.authoring.paint.lamp import Lamp
@@ -90,19 +90,19 @@ def back_of_head(
     seen = shot.trust > _SEEN
     highest = rest[head & seen, 1].max(initial=low)  # a fitted skull may reach over the person's own
     crown = head & (rest[:, 1] > highest - _CROWN * (top - low)) & seen
-    throat, face = neck & (shot.trust > 0.5), head & face_of(body) & (shot.trust > 0.5)
+    throat, face = neck & (shot.trust > 0.5), head & face_vertices(body) & (shot.trust > 0.5)
     if not crown.any() or not throat.any() or not face.any():
         return BackOfHead(rest, np.zeros(count), np.zeros(count), np.zeros((count, 3)), None)
     hair, skin = np.median(look[crown], axis=0), np.median(look[face], axis=0)
     nearer_skin = _away(look, hair) > _away(look, skin)
     unlike_skin = _away(look, skin) > _HALF * _away(hair, skin)  # hair below a hat is not like the hat
-    chest = trunk_of(body) & (shot.trust > 0.5)
+    chest = trunk_vertices(body) & (shot.trust > 0.5)
     cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)  # unlike all
     unlike_cloth = ~(_away(look, hair) > _SURE * _away(look, cloth))
     beside = (rest[:, 2] < ear + 0.02) & seen
     ends = _ends(rest, head | neck, beside, unlike_skin, unlike_cloth, low + _NAPE * (top - low))
     # whatever is not skin beside a face is worn all around it: hair, and a hat above it
-    worn = (head | neck) & ~face_of(body) & seen & (_away(look, skin) > _WORN * _away(hair, skin))
+    worn = (head | neck) & ~face_vertices(body) & seen & (_away(look, skin) > _WORN * _away(hair, skin))
     worn &= rest[:, 1] > ends - _STEP
     shaded = (look @ skin / (skin @ skin)).clip(*_IN_SHADE)[:, None] * skin
     worn &= ~(_away(look, shaded) < _LIKE * _away(look, hair))  # nor are ears and jaws in the shade
@@ -119,7 +119,9 @@ def back_of_head(
     above = ((rest[:, 1] - ends) / _SOFT).clip(0, 1)
     neck_behind = _ramp(nape - rest[:, 2]) * neck
     behind = _ramp(ear - rest[:, 2]) * head + neck_behind * (above if nape_colour is not None else 1.0)
-    beside_face = above * (head & ~face_of(body))  # what nobody saw beside a face is hair, not hair and skin mixed
+    beside_face = above * (
+        head & ~face_vertices(body)
+    )  # what nobody saw beside a face is hair, not hair and skin mixed
     covered = np.maximum.reduce([behind, _ramp(rest[:, 1] - top + 0.05) * head, beside_face])
     below = np.median(plain[throat], axis=0) if nape_colour is None else nape_colour
     colour = above[:, None] * around + (1 - above[:, None]) * below
@@ -154,7 +156,7 @@ def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 def _fallen(body: Body, shot: FittedPicture, look: F64, hair: F64, skin: F64, ends: float, nape: float) -> F64:
     """[V] where long hair lies on the back: as far down and aside as it is seen on the chest and shoulders."""
-    rest, trunk = shot.mesh.vertices, trunk_of(body)
+    rest, trunk = shot.mesh.vertices, trunk_vertices(body)
     chest = trunk & (shot.trust > _SEEN) & (rest[:, 1] < ends)
     out = np.zeros(len(rest))
     if not chest.any():

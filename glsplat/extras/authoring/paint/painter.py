@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import half_width, trunk_of, twins_across
-from glsplat.extras.authoring.compute.threads import abreast, aside
+from glsplat.extras.authoring.body.segments import mirror_vertices, trunk_half_width, trunk_vertices
+from glsplat.extras.authoring.compute.threads import map_threads, run_in_background
 from glsplat.extras.authoring.fit.eyes import EyeLook
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, Twins, find_twins
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head
@@ -68,7 +68,7 @@ class Painter:
         """What is known and guessed of the points; what is seen squarely is not guessed."""
         starts = range(0, max(len(points.corners), 1), _BLOCK)
         blocks = [points.take(slice(first, first + _BLOCK)) for first in starts]
-        parts = abreast(self._painted, blocks)
+        parts = map_threads(self._painted, blocks)
         return Paint(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _painted(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
@@ -117,7 +117,7 @@ class Painter:
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * behind.linear
         # what one half of the body hides, the other one shows
-        across = SurfacePoints(twins_across()[points.corners], points.weights)
+        across = SurfacePoints(mirror_vertices()[points.corners], points.weights)
         other = front.look(across)
         lit = self.light.shade(across.directions(front.normals))
         lent = other.trust * points.at(self.aside[:, None])[:, 0] * ground.alike(other.linear / lit[:, None])
@@ -144,14 +144,14 @@ def painter_of(
     Light and cloth are found on ``points``, which should lie evenly over the surface.
     """
     front = shots[0]
-    seen_from_afar = aside(lambda: Front(front.mesh))
+    seen_from_afar = run_in_background(lambda: Front(front.mesh))
     sight = front.look(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
     cloth = cloth_of(body, front, points, sight, light.shade(normals))
-    head = aside(lambda: back_of_head(body, front, light, cloth.nape))
+    head = run_in_background(lambda: back_of_head(body, front, light, cloth.nape))
     plain, seen = _smooth_colours(body, shots, light, cloth), seen_from_afar()
-    twins, span = find_twins(front.mesh, trunk_of(body), seen), cloth.patterned
+    twins, span = find_twins(front.mesh, trunk_vertices(body), seen), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)
     inside = inside_of(body, front, looks or {})
     return Painter(body, shots, inside, light, cloth, plain, twins, head(), sleeves, _aside(body, front))
@@ -159,9 +159,9 @@ def painter_of(
 
 def _aside(body: Body, shot: FittedPicture) -> F64:
     """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
-    trunk, rest = trunk_of(body), shot.mesh.vertices
-    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
-    share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
+    trunk, rest = trunk_vertices(body), shot.mesh.vertices
+    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_vertices(body)
+    share = np.abs(rest[:, 0]) / np.maximum(trunk_half_width(rest, trunk), 1e-3)
     return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
 
 
@@ -198,7 +198,7 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, clo
         trust = trust * ground.alike(plain, patterned=False)  # a print does not flow into the cloth beside it
         known += trust
         target += trust[:, None] * plain
-    twin = twins_across()
+    twin = mirror_vertices()
     lent = _LENT * known[twin] * (known < _LENT)
     known, target = known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None]
     added = smoothest(body, known * worn, (target - known[:, None] * ground.colour) * worn[:, None], shy=_FORGETS)

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import HANDS
-from glsplat.extras.authoring.compute.conjugate_gradients import solved
+from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["smoothest"]
@@ -61,4 +61,4 @@ def smoothest(
     scale = known + _STIFF * degree + keep
     matrix = diags(scale) - _STIFF * neighbours
     start = np.where(known[:, None] > 0.2, target / np.maximum(known, 0.2)[:, None], mean)
-    return solved(matrix.tocsr(), target + keep * mean, start).clip(0 if shy is None else -2, 2)
+    return conjugate_gradients(matrix.tocsr(), target + keep * mean, start).clip(0 if shy is None else -2, 2)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.mouth_and_eyes import Inside, inside_of
 from glsplat.extras.authoring.paint.painter import Paint
@@ -91,7 +91,7 @@ def fusion_of(
     score = square.clip(0, 1) * (clear > 0)
     if len(doubts):
         score = score - np.asarray(doubts, float)
-    score[face_of(body), 0] += _FACE_FIRST
+    score[face_vertices(body), 0] += _FACE_FIRST
     for _ in range(_EVENED):
         score = 0.5 * score + 0.5 * (near @ score) / degree[:, None]
     best = np.where(clear > 0, score, -np.inf).max(axis=1, keepdims=True)

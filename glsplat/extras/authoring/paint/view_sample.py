@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.segments import half_width, trunk_of
-from glsplat.extras.authoring.compute.threads import found_once
+from glsplat.extras.authoring.body.segments import trunk_half_width, trunk_vertices
+from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.picture_layers.fill import continued, disc, only_in_the_middle
@@ -55,7 +55,7 @@ class FittedPicture:
         None  # [2, 24, 2] pixels of shoulders, elbows, wrists, hands as networks saw them; NaN where they did not
     )
 
-    @found_once
+    @locked_cached_property
     def parts(self) -> ShownLayers:
         """What it shows of each layer of the body."""
         return ShownLayers(self.rgb, self.mask, self.focal, self.view, self.mesh, self.segment, self.bones)
@@ -94,25 +94,25 @@ class FittedPicture:
         mask = cv2.resize(self.parts.agreed.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA), np.uint8), mask == 255
 
-    @found_once
+    @locked_cached_property
     def normals(self) -> F64:
         """[V, 3] in the camera's axes."""
         return vertex_normals(self.view.vertices, self.mesh.faces)
 
-    @found_once
+    @locked_cached_property
     def trust(self) -> F64:
         """[V] of the vertices themselves."""
         return self.known(self.view.pixels, self.layer) * self._facing(
             self.view.vertices, self.normals, self.view.pixels, self.layer, *_BELIEVED
         )
 
-    @found_once
+    @locked_cached_property
     def squareness(self) -> F64:
         """[V] cosine between a vertex's normal and the way to the camera, whatever hides it."""
         where = self.view.vertices
         return np.asarray(-component_sums(self.normals * where) / lengths(where))
 
-    @found_once
+    @locked_cached_property
     def shown(self) -> F64:
         """[V] 1 where nothing of its layer hides a vertex on or before the outline and its colour is near, else 0."""
         shown = self._facing(self.view.vertices, self.normals, self.view.pixels, self.layer, *_TURNED)
@@ -199,19 +199,19 @@ class FittedPicture:
         ramp = ((facing - least) / (most - least)).clip(0, 1)
         return np.where(inside & (where[:, 2] < nearest + _BEHIND), ramp * ramp * (3 - 2 * ramp), 0.0)
 
-    @found_once
+    @locked_cached_property
     def _behind(self) -> NDArray[np.float32]:
         """[H, W, 3] the trunk's picture without what the sides do not show."""
         front = self.parts.layers[0]
         if self.segment is None:
             return front.picture
         body = open_body()
-        trunk = trunk_of(body)
+        trunk = trunk_vertices(body)
         rest = self.mesh.vertices
         faces = self.mesh.faces[trunk[self.mesh.faces].all(axis=1)]
         scale = min(1.0, _MIDDLE / self.parts.height)
         ids, bary = drawn(self.mesh, self.view.vertices, self.focal, self.mask.shape, faces, scale)
-        place = np.stack([rest[:, 0] / np.maximum(half_width(rest, trunk), 1e-3), rest[:, 1]], axis=1)
+        place = np.stack([rest[:, 0] / np.maximum(trunk_half_width(rest, trunk), 1e-3), rest[:, 1]], axis=1)
         at = np.full((*ids.shape, 2), np.nan)
         at[ids >= 0] = np.einsum("nk,nkc->nc", bary[ids >= 0], place[faces[ids[ids >= 0]]])
         size = ids.shape[::-1]

@@ -1,4 +1,4 @@
-"""Picture files: what is read of them, and how."""
+"""Read photographs from picture files."""
 
 from glsplat.optional import require_package
 

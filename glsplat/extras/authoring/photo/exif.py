@@ -13,8 +13,8 @@ from PIL.ExifTags import IFD, Base
 
 __all__ = ["Exif", "read_exif"]
 
-_DIAGONAL_35MM = math.hypot(36, 24)  # millimetres
-_MIN_FOCAL, _MAX_FOCAL = 10, 200  # millimetres on 35 mm film: the lenses that photograph a whole person
+_FILM_DIAGONAL_MM = math.hypot(36, 24)
+_MIN_FOCAL_MM, _MAX_FOCAL_MM = 10, 200  # on 35 mm film: lenses that photograph a whole person
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ def read_exif(data: bytes, size: tuple[int, int]) -> Exif:
 def _focal(camera: Mapping[int, object], size: tuple[int, int]) -> float | None:
     tags = Base.FocalLengthIn35mmFilm, Base.ExifImageWidth, Base.ExifImageHeight
     millimetres, *stored = (value if isinstance(value := camera.get(tag), int) else 0 for tag in tags)
-    if not _MIN_FOCAL <= millimetres <= _MAX_FOCAL:
+    if not _MIN_FOCAL_MM <= millimetres <= _MAX_FOCAL_MM:
         return None
     if min(stored) > 0:
         before, now = max(stored) / min(stored), max(size) / min(size)
         if abs(before - now) > 0.02 * now:
             return None
-    return millimetres / _DIAGONAL_35MM
+    return millimetres / _FILM_DIAGONAL_MM

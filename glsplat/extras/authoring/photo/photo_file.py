@@ -1,4 +1,4 @@
-"""Photographs as phones write them: upright RGB pixels, and the focal length where the file tells it."""
+"""Read photographs as phones write them: upright RGB pixels, and the focal length if the file has it."""
 
 from __future__ import annotations
 
@@ -19,62 +19,63 @@ from glsplat.io.files import open_regular
 from .exif import Exif, read_exif
 from .headers import ImageHeader, read_header
 
-__all__ = ["MOST_BYTES", "MOST_PIXELS", "SIDE", "Photo", "photo_of", "read_photo"]
+__all__ = ["MAX_BYTES", "MAX_PIXELS", "MAX_SIDE_PX", "Photo", "decode_photo", "read_photo"]
 
-MOST_PIXELS = 64_000_000
-"""More is refused before a pixel is decoded."""
-MOST_BYTES = 100_000_000
-_LONGEST = 30_000  # pixels; OpenCV's warps stop at 32767
-SIDE = 2048
-"""Pixels of the longer side that are kept; an avatar shows no more."""
-_HARMLESS = "extraneous bytes"  # what libjpeg says of files that some phones write
+MAX_PIXELS = 64_000_000
+"""Larger pictures are refused before they are decoded."""
+MAX_BYTES = 100_000_000
+"""Size of the largest file that is read."""
+_MAX_FILE_SIDE_PX = 30_000  # OpenCV's warps stop at 32767
+MAX_SIDE_PX = 2048
+"""Larger pictures are reduced to this side; an avatar shows no more detail."""
+_HARMLESS_WARNING = "extraneous bytes"  # libjpeg's, about files that some phones write
 
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A photograph, turned as it was seen."""
+    """A photograph, turned upright."""
 
     picture: NDArray[np.uint8]
-    """RGB uint8 [H, W, 3], sRGB as the file has it; embedded colour profiles are not applied."""
+    """RGB uint8 [H, W, 3], sRGB; embedded colour profiles are not applied."""
     focal: float | None
-    """Focal length in pixels of ``picture``; None where the file tells none that can be true."""
+    """Focal length in pixels of ``picture``; None if the file has no plausible one."""
     size: tuple[int, int]
-    """Width and height of the file's picture, upright, before it was made smaller."""
+    """Width and height of the file's picture, upright, before it was reduced."""
     notes: tuple[str, ...] = ()
-    """What a user may want to know, in words."""
+    """Remarks for the user, one sentence each."""
     alpha: NDArray[np.uint8] | None = None
-    """[H, W] of a picture that is transparent somewhere: 0 where it is, 255 where it is not."""
+    """[H, W] opacity of a partly transparent picture, 0 to 255."""
 
 
-def read_photo(path: str | os.PathLike[str], side: int = SIDE) -> Photo:
+def read_photo(path: str | os.PathLike[str], side: int = MAX_SIDE_PX) -> Photo:
     """Read a JPEG, PNG or WebP file; the longer side becomes at most ``side`` pixels.
 
-    All eight EXIF orientations, grey, ink colours, transparency (laid over white) and 16 bits are understood. Raises
-    FormatError, one line that names the file, for everything else: other kinds, damage, more than MOST_PIXELS.
+    Supports all eight EXIF orientations, grey, CMYK, transparency (composited over white) and 16 bits. Raises
+    FormatError, one line that names the file, for other kinds, damaged files and more than MAX_PIXELS.
     """
     try:
         with open_regular(Path(path)) as (file, _):
-            data = file.read(MOST_BYTES + 1)
-        return photo_of(data, side)
+            data = file.read(MAX_BYTES + 1)
+        return decode_photo(data, side)
     except FormatError as error:
         text = str(error)
         raise FormatError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
-def photo_of(data: bytes, side: int = SIDE) -> Photo:
-    """``read_photo`` of a file's bytes."""
-    if len(data) > MOST_BYTES:
-        raise FormatError(f"a photograph has at most {MOST_BYTES // 10**6} MB; save it smaller")
+def decode_photo(data: bytes, side: int = MAX_SIDE_PX) -> Photo:
+    """Decode the bytes of a file; see ``read_photo``."""
+    if len(data) > MAX_BYTES:
+        raise FormatError(f"a photograph has at most {MAX_BYTES // 10**6} MB; save it smaller")
     header = read_header(data)
     width, height = header.width, header.height
-    if width * height > MOST_PIXELS or max(width, height) > _LONGEST:
+    if width * height > MAX_PIXELS or max(width, height) > _MAX_FILE_SIDE_PX:
         raise FormatError(
-            f"{width} x {height} pixels are too many (at most {MOST_PIXELS // 10**6} megapixels and "
-            f"{_LONGEST} a side); save it smaller"
+            f"{width} x {height} pixels are too many (at most {MAX_PIXELS // 10**6} megapixels and "
+            f"{_MAX_FILE_SIDE_PX} a side); save it smaller"
         )
     exif = read_exif(header.exif, (width, height)) if header.exif else Exif()
     notes: list[str] = []
-    picture, alpha = (_jpeg(data, header), None) if header.kind == "JPEG" else _other(data, header, notes)
+    picture, alpha = (_decode_jpeg(data, header), None) if header.kind == "JPEG" else _decode_other(data, header, notes)
     if picture.shape[:2] != (height, width):
         raise FormatError(f"the {header.kind} file says {width} x {height} pixels and holds others; save it again")
     if header.profile:
@@ -93,25 +94,27 @@ def photo_of(data: bytes, side: int = SIDE) -> Photo:
     return Photo(np.ascontiguousarray(picture), focal, size, tuple(notes), alpha)
 
 
-def _jpeg(data: bytes, header: ImageHeader) -> NDArray[np.uint8]:
+def _decode_jpeg(data: bytes, header: ImageHeader) -> NDArray[np.uint8]:
     space = "CMYK" if header.channels == 4 else "RGB"
     try:
         try:
             pixels = simplejpeg.decode_jpeg(data, space, strict=True)
         except ValueError as error:
-            if _HARMLESS not in str(error):
+            if _HARMLESS_WARNING not in str(error):
                 raise
             pixels = simplejpeg.decode_jpeg(data, space, strict=False)
     except (ValueError, RuntimeError, MemoryError) as error:
         raise FormatError(f"the JPEG file is damaged ({' '.join(str(error).split())[:120]}); copy it again") from None
     if space == "RGB":
         return np.asarray(pixels, np.uint8)
-    ink = pixels.astype(np.uint16)  # Adobe's way, the only one in use: 255 is no ink
+    ink = pixels.astype(np.uint16)  # Adobe's convention, the only one in use: 255 is no ink
     return ((ink[..., :3] * ink[..., 3:] + 127) // 255).astype(np.uint8)
 
 
-def _other(data: bytes, header: ImageHeader, notes: list[str]) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
-    """The colours, and the transparency where there is some."""
+def _decode_other(
+    data: bytes, header: ImageHeader, notes: list[str]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """Return the RGB colours of a PNG or WebP file, over white, and its opacity if it is partly transparent."""
     if header.kind == "PNG":
         data = clean_png(data)
     try:
@@ -137,7 +140,7 @@ def _other(data: bytes, header: ImageHeader, notes: list[str]) -> tuple[NDArray[
 
 
 def _upright(picture: NDArray[np.uint8], orientation: int) -> NDArray[np.uint8]:
-    """Undo what EXIF says that the camera did (1: nothing; 2 to 8)."""
+    """Return the picture turned upright from the EXIF ``orientation`` (1 to 8; 1: upright)."""
     if orientation >= 5:
         picture = picture.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):

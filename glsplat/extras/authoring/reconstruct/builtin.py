@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.body.segments import segments_of
-from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.body.segments import arm_segments
+from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.dress.skirt import dress
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
@@ -61,14 +61,14 @@ class Builtin:
     def report(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """Return the avatar with the fit and the mesh it was made from."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
-        loaded = None if options.keep_light else aside(load_compiled)  # while a core is idle
+        loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
         shots = with_hair(body, bald)
         mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)
-        face = aside(lambda: moving_face(mesh)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
+        face = run_in_background(lambda: moving_face(mesh)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
         scattered = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
         painter = painter_of(body, shots, scattered.points, looks)
-        captured = None if options.keep_light else aside(lambda: captured_light(mesh, shots, painter.light))
+        captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
         avatar = scattered.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
@@ -125,11 +125,13 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     options.progress("painting", 0.35)
     mesh, seen = dress(body, fit, views)
     shots = tuple(
-        FittedPicture(pictures[side].rgb, masks[side], view.focal, fitted, mesh, segments_of(), _arms(people[side]))
+        FittedPicture(
+            pictures[side].rgb, masks[side], view.focal, fitted, mesh, arm_segments(body), _arms(people[side])
+        )
         for side, view, fitted in zip(sides, views, seen, strict=True)
     )
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
-    if not any(look.seen for look in looks.values()):
+    if not any(look.visible for look in looks.values()):
         looks = {}  # closed lids and dark glasses are painted as pictured
     return _Fitted(body, fit, shots, looks)
 

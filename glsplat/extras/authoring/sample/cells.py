@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.compute.threads import aside
+from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.geometry.mesh_shapes import shapes_of
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
@@ -128,7 +128,7 @@ def avatar_of(cells: Sequence[Cells], mesh: RiggedMesh, opacity: float) -> Avata
     rgb = np.concatenate([c.rgb for c in cells])
     weights = np.concatenate([c.weights for c in cells])
     joints = len(mesh.skeleton)
-    skin = aside(lambda: Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints))
+    skin = run_in_background(lambda: Skin.create(np.broadcast_to(np.arange(joints), weights.shape), weights, joints))
     splats = Splats.create(means, quats, scales, np.full(len(means), opacity), rgb=rgb, antialias=True)
     faces = np.concatenate([c.faces for c in cells])
     shapes = None if mesh.morphs is None else shapes_of(splats, mesh, mesh.morphs, faces)

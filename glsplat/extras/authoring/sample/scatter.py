@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.sample.cells import Cloud, SamplerConfig, avatar_of, begun, skin_of
 from glsplat.extras.authoring.sample.surface import allot, face_densities, face_zones
@@ -69,7 +69,7 @@ class Scatter:
             begin.append(begun(cloud, splats, PHOTO_SAMPLER, rng))
         # the largest first, so that no core has it last and alone
         order = np.argsort([-zone.splats for zone in self.zones], kind="stable")
-        made = dict(zip(order, abreast(lambda zone: begin[zone](), order), strict=True))
+        made = dict(zip(order, map_threads(lambda zone: begin[zone](), order), strict=True))
         return avatar_of([made[zone] for zone in range(len(begin))], mesh, PHOTO_SAMPLER.opacity)
 
 

@@ -1,8 +1,8 @@
-"""The person's mask at the picture's resolution, from a network's coarse one. No chance in it: same bytes every time.
+"""Refine a network's coarse mask of the person to the picture's resolution. Equal inputs give equal bytes.
 
-The network is right about who is the person and wrong by some pixels about where the outline runs. In a band about
-its outline every pixel is asked how well its colour fits the person nearby and the room nearby; the answers are
-smoothed along the picture's edges. On the floor a darker room counts as room: that is the person's shadow.
+The network's outline is off by some pixels. In a band around it, each pixel's colour is compared with the colours of
+the person and of the room nearby; the log odds are smoothed along the picture's edges. On the floor, darker shades of
+the room's colours count as room, because they are the person's shadow.
 """
 
 from __future__ import annotations
@@ -22,36 +22,38 @@ Float = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class MaskConfig:
-    """Lengths are shares of the person's height, as the network's mask has it."""
+    """Parameters of the refinement. Lengths are fractions of the height of the network's mask."""
 
     rounds: tuple[tuple[float, float, int], ...] = ((0.015, 0.03, 2), (0.008, 0.02, 1))
-    """Half width of the band, half width of the window whose colours are compared, and how much smaller the
-    picture is while doing so."""
-    core: float = 0.004
-    """Parts at least this thick lend their middle line to the person's colours, fingers among them."""
-    noise: float = 5.0
-    """Standard deviation in 8-bit levels by which colours may differ anyway."""
-    net: float = 0.8
-    """Weight of the network's own belief, as log odds."""
-    trust: float = 0.5
-    """Weight of the colours."""
-    most: float = 6.0
-    """Log odds that one pixel's colour may contribute."""
-    smooth: float = 30.0
-    """Strength of the smoothing along edges."""
-    edge: float = 15.0
-    """Difference in 8-bit levels that counts as an edge."""
-    shadow: float = 2.0
-    """Log odds that a shadow of full darkness costs."""
-    floor: float = 0.05
-    """How far above the ankles shadows of the floor are seen."""
+    """Of each round: half width of the band, half width of the window of compared colours, and the factor by which
+    the picture is reduced."""
+    min_thickness: float = 0.004
+    """The middle lines of thinner parts do not count as colours of the person; fingers are thicker."""
+    noise_levels: float = 5.0
+    """Standard deviation of the noise of colours, in 8-bit levels."""
+    network_weight: float = 0.8
+    """Weight of the network's log odds."""
+    colour_weight: float = 0.5
+    """Weight of the colours' log odds."""
+    max_log_odds: float = 6.0
+    """Limit of the log odds of one pixel's colour, before they are weighted."""
+    smoothness: float = 30.0
+    """Strength of the smoothing (lambda of OpenCV's fast global smoother)."""
+    edge_levels: float = 15.0
+    """Difference in 8-bit levels that stops the smoothing (its sigma)."""
+    shadow_log_odds: float = 2.0
+    """Penalty of a completely dark shadow."""
+    floor_height: float = 0.05
+    """Shadows on the floor are expected below this height above the ankles."""
 
 
-_SHADES = (1.0, 0.88, 0.76, 0.64, 0.52, 0.4)  # of the room's colour, in the picture's own values
+_SHADOW_FACTORS = (0.88, 0.76, 0.64, 0.52, 0.4)  # brightness of shadows, in sRGB values
+_SURE_COUNT_PX = np.float32(30)  # pixels from which a distribution is fully trusted
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance
 
 
 def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConfig | None = None) -> NDArray[np.bool_]:
-    """[H, W]: where the picture, RGB uint8 [H, W, 3], shows the person ``body``. One connected piece."""
+    """Return the mask [H, W] of the person ``body`` in a picture (RGB uint8 [H, W, 3]), one connected component."""
     config = config or MaskConfig()
     mask = body.mask > 0.5
     if not mask.any():
@@ -88,35 +90,36 @@ def _odds(
     height: float,
     config: MaskConfig,
 ) -> Float:
-    """[H, W]: above zero inside the person; only the band about the mask's outline is asked again."""
+    """Return values [H, W] above zero inside the person; only the band around the mask's outline is re-estimated."""
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     grown = cv2.dilate(inside, np.ones((3, 3), np.uint8))
-    ridge = mask & (inside >= grown - 0.3) & (inside >= max(config.core * height, 1.5))  # the middle of thin parts
+    ridge = mask & (inside >= grown - 0.3) & (inside >= max(config.min_thickness * height, 1.5))
     person = (inside > band) | ridge
     room = outside > band
     rows, columns = np.nonzero((inside <= band) & (outside <= band))
     colours = picture.astype(np.float32)
-    own = _Colours(colours, person, round(window), config.noise).at(rows, columns)
-    other = _Colours(colours, room, round(window), config.noise).at(rows, columns)
+    own = _Colours(colours, person, round(window), config.noise_levels).at(rows, columns)
+    other = _Colours(colours, room, round(window), config.noise_levels).at(rows, columns)
     values = colours[rows, columns]
-    fits = own.fit(values)
-    misfits = other.fit(values)
-    low = rows > ankles - config.floor * height
-    for shade in _SHADES[1:]:
-        dark = other.fit(values, shade) - np.float32(config.shadow * (1 - shade))
-        misfits = np.where(low, np.maximum(misfits, dark), misfits)
-    known = np.minimum(own.known, other.known)
-    belief = np.clip(soft[rows, columns], 1e-3, 1 - 1e-3)
-    belief = np.log(belief / (1 - belief))
-    said = config.trust * np.clip(fits - misfits, -config.most, config.most) * known + config.net * belief
+    as_person, as_room = own.log_likelihood(values), other.log_likelihood(values)
+    low = rows > ankles - config.floor_height * height
+    for shade in _SHADOW_FACTORS:
+        shadow = other.log_likelihood(values, shade) - np.float32(config.shadow_log_odds * (1 - shade))
+        as_room = np.where(low, np.maximum(as_room, shadow), as_room)
+    certainty = np.minimum(own.certainty, other.certainty)
+    probability = np.clip(soft[rows, columns], 1e-3, 1 - 1e-3)
+    colour_odds = np.clip(as_person - as_room, -config.max_log_odds, config.max_log_odds) * certainty
+    network_odds = np.log(probability / (1 - probability))
+    log_odds = config.colour_weight * colour_odds + config.network_weight * network_odds
     odds = np.where(mask, 1.0, -1.0).astype(np.float32)
-    odds[rows, columns] = np.tanh(said / 2)
-    return np.asarray(cv2.ximgproc.fastGlobalSmootherFilter(picture, odds, config.smooth, config.edge), np.float32)
+    odds[rows, columns] = np.tanh(log_odds / 2)
+    smooth = cv2.ximgproc.fastGlobalSmootherFilter(picture, odds, config.smoothness, config.edge_levels)
+    return np.asarray(smooth, np.float32)
 
 
 class _Colours:
-    """Mean and covariance of the colours in a window around each pixel, of those pixels that belong to a set."""
+    """Mean and covariance of the colours of ``members`` in a window around each pixel."""
 
     def __init__(self, colours: Float, members: NDArray[np.bool_], radius: int, noise: float) -> None:
         weight = members.astype(np.float32)
@@ -127,7 +130,7 @@ class _Colours:
                 cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32
             )
 
-        # sums of squares about the mean of all, so that float32 keeps its digits
+        # sums of squares about the mean of all members, to keep float32's precision
         self._middle: Float = colours[members].mean(axis=0) if members.any() else np.zeros(3, np.float32)
         centred = colours - self._middle
         self._count = total(weight)
@@ -136,7 +139,7 @@ class _Colours:
         self._noise = noise
 
     def at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Local:
-        """The distributions at N pixels."""
+        """Return the distributions at N pixels."""
         count: Float = self._count[rows, columns]
         safe: Float = np.maximum(count, np.float32(1))
         mean: Float = self._mean[rows, columns] / safe[:, None]
@@ -144,12 +147,8 @@ class _Colours:
             product[rows, columns] / safe - mean[:, i] * mean[:, j]
             for product, (i, j) in zip(self._products, _PAIRS, strict=True)
         ]
-        known: Float = np.minimum(count / _ENOUGH, np.float32(1))
-        return _Local(mean + self._middle, spread, known, self._noise)
-
-
-_ENOUGH = np.float32(30)  # pixels that make a distribution
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        certainty: Float = np.minimum(count / _SURE_COUNT_PX, np.float32(1))
+        return _Local(mean + self._middle, spread, certainty, self._noise)
 
 
 @dataclass
@@ -158,12 +157,12 @@ class _Local:
 
     mean: Float
     spread: list[Float]
-    known: Float
-    """From 0 to 1: whether there were enough colours to say anything."""
+    certainty: Float
+    """From 0 to 1, by the number of members in the window."""
     noise: float
 
-    def fit(self, values: Float, shade: float = 1.0) -> Float:
-        """Log likelihood [N] of the values [N, 3], where colours are ``shade`` times as bright as they were."""
+    def log_likelihood(self, values: Float, shade: float = 1.0) -> Float:
+        """Return the log likelihood [N] of values [N, 3] under colours that are ``shade`` times as bright."""
         extra = np.float32(self.noise**2)
         a, b, c, d, e, f = (np.float32(shade * shade) * s for s in self.spread)
         a, d, f = a + extra, d + extra, f + extra
@@ -176,7 +175,7 @@ class _Local:
 
 
 def _largest(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """The largest connected piece."""
+    """Return the largest connected component."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
     if count < 2:
         return mask > 0

@@ -1,4 +1,4 @@
-"""Masks that users bring along: picture files and arrays, made to fit the photograph that they belong to."""
+"""Read and check users' masks, which are picture files or arrays."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
 
-__all__ = ["MaskSource", "mask_of"]
+__all__ = ["MaskSource", "read_mask"]
 
 MaskSource = str | os.PathLike[str] | NDArray[np.bool_]
-"""A picture file, or the mask itself [H, W] in the pixels of ``Photo.picture``."""
+"""A picture file, or a mask [H, W] of the pixels of ``Photo.picture``."""
 
-_WHITE = 127  # levels above it are the person
-_LEAST, _MOST = 0.002, 0.95  # share of the picture that a person can cover
+_MIN_FRACTION, _MAX_FRACTION = 0.002, 0.95  # of the picture that a person covers
 
 
-def mask_of(source: MaskSource, photo: Photo) -> NDArray[np.bool_]:
-    """[H, W] true on the person, for ``photo.picture``.
+def read_mask(source: MaskSource, photo: Photo) -> NDArray[np.bool_]:
+    """Return the mask [H, W] of ``photo.picture``, true on the person.
 
-    A file is white on the person, or opaque on the person and transparent elsewhere; it has the photograph's size,
-    upright both. Raises FormatError, one line.
+    A file is white or opaque on the person, black or transparent elsewhere, and has the photograph's upright size.
+    Raises FormatError, one line.
     """
     if isinstance(source, np.ndarray):
         return _checked(_array(source, photo), "the mask")
@@ -34,7 +33,7 @@ def mask_of(source: MaskSource, photo: Photo) -> NDArray[np.bool_]:
             f"{photo.size[1]} (upright); draw it over the picture, at the same size"
         )
     values = drawn.picture.max(axis=2) if drawn.alpha is None else drawn.alpha
-    return _checked(values > _WHITE, str(source))
+    return _checked(values > 127, str(source))
 
 
 def _array(mask: NDArray[np.bool_], photo: Photo) -> NDArray[np.bool_]:
@@ -47,7 +46,7 @@ def _array(mask: NDArray[np.bool_], photo: Photo) -> NDArray[np.bool_]:
 
 def _checked(mask: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
     share = float(mask.mean())
-    if not _LEAST <= share <= _MOST:
+    if not _MIN_FRACTION <= share <= _MAX_FRACTION:
         raise FormatError(
             f"{name}: {share:.1%} of the mask are white, that is no person; make the person white, all else black"
         )

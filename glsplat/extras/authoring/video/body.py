@@ -15,20 +15,21 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, Body, open_body
 from glsplat.extras.authoring.fit.body_fit import (
-    FIGURE,
+    MAX_FIGURE_PX,
     BodyFit,
-    assembled,
+    assemble_fit,
     converge,
-    dressed,
+    fit_clothes,
     follow_outlines,
-    strays_of,
+    landmark_errors,
 )
 from glsplat.extras.authoring.fit.kinematics import PosedBody
 from glsplat.extras.authoring.fit.landmarks import landmarks
-from glsplat.extras.authoring.fit.offsets import outward
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
-from glsplat.extras.authoring.fit.view import View, apart
+from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.networks.people import degrees_between
 
 __all__ = ["fit_turning", "key_views"]
 
@@ -42,7 +43,7 @@ def key_views(turns: Sequence[float], count: int = _KEY_VIEWS) -> list[int]:
     """Return the indices of at most ``count`` views from all around, front first; ``turns`` in degrees."""
     keys: list[int] = []
     for wanted in np.arange(count) * 360.0 / count:
-        best = min(range(len(turns)), key=lambda index: (apart(turns[index], float(wanted)), index))
+        best = min(range(len(turns)), key=lambda index: (degrees_between(turns[index], float(wanted)), index))
         if best not in keys:
             keys.append(best)
     return keys
@@ -62,32 +63,32 @@ def fit_turning(
     if len(views) < 2:
         raise FormatError("a fit of a turning person needs at least two pictures")
     body = body or open_body()
-    small = [view.smaller(FIGURE) for view in views]
+    small = [view.smaller(MAX_FIGURE_PX) for view in views]
     keys = key_views([view.turn for view in small])
     first = BodySolver(body, landmarks(), [small[key] for key in keys], height)
     converge(first)
     progress(0.3)
     poses: dict[int, PosedBody] = {key: first.posed(index) for index, key in enumerate(keys)}
     angles = {key: first.angles(index).copy() for index, key in enumerate(keys)}
-    strays = dict(zip(keys, strays_of(first), strict=True))
+    strays = dict(zip(keys, landmark_errors(first), strict=True))
     camera = float(np.median([first.camera_height(index) for index in range(len(keys))]))
     betas = first.betas.copy()
 
     def store(index: int, solver: BodySolver) -> None:
-        poses[index], angles[index], strays[index] = solver.posed(0), solver.angles(0).copy(), strays_of(solver)[0]
+        poses[index], angles[index], strays[index] = solver.posed(0), solver.angles(0).copy(), landmark_errors(solver)[0]
 
     others = [index for index in range(len(views)) if index not in poses]
     for done, index in enumerate(others):
-        near = min(poses, key=lambda solved: (apart(small[solved].turn, small[index].turn), solved))
+        near = min(poses, key=lambda solved: (degrees_between(small[solved].turn, small[index].turn), solved))
         solver = BodySolver(body, landmarks(), [small[index]], height, KnownShape(betas, angles[near], camera))
         converge(solver, 2)
         store(index, solver)
         progress(0.3 + 0.3 * done / len(others))
     bare, joints = body.shaped(betas)
     numbers = range(len(views))
-    offsets = dressed(body, bare, [poses[index] for index in numbers], views)
+    offsets = fit_clothes(body, bare, [poses[index] for index in numbers], views)
     for turn in range(_DRESSING_ROUNDS):
-        moved = offsets[:, None] * outward(body, bare)
+        moved = offsets[:, None] * offset_directions(body, bare)
         about = np.median([angles[index] for index in numbers], axis=0)
         for index in numbers:
             solver = BodySolver(body, landmarks(), [small[index]], height, KnownShape(betas, about, camera))
@@ -96,9 +97,9 @@ def fit_turning(
             follow_outlines(solver, 2, moved)
             store(index, solver)
             progress(0.6 + 0.4 * (turn + index / len(views)) / _DRESSING_ROUNDS)
-        offsets = dressed(body, bare, [poses[index] for index in numbers], views)
+        offsets = fit_clothes(body, bare, [poses[index] for index in numbers], views)
     rotations = [HINGES.rotations(angles[index]) for index in numbers]
-    return assembled(
+    return assemble_fit(
         body,
         bare,
         joints,

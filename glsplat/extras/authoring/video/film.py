@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.photo.photo_file import MOST_PIXELS, SIDE
+from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, MAX_SIDE_PX
 from glsplat.io.files import open_regular
 
 __all__ = ["MIN_FRAMES", "each_frame", "is_video", "read_frames"]
@@ -39,7 +39,7 @@ def is_video(path: str | os.PathLike[str]) -> bool:
 def read_frames(path: str | os.PathLike[str], count: int) -> list[NDArray[np.uint8]]:
     """Return at most ``count`` frames, RGB uint8 [H, W, 3], in order: the sharpest of a few in each interval.
 
-    Frames are upright and at most SIDE pixels a side. Raises FormatError, one line that names the file.
+    Frames are upright and at most MAX_SIDE_PX pixels a side. Raises FormatError, one line that names the file.
     """
     if not is_video(path):
         raise FormatError(f"{path}: not a video; {_HINT}")
@@ -135,8 +135,8 @@ def _sharpness(picture: NDArray[np.uint8]) -> float:
 
 def _limited(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
-    if max(height, width) > SIDE:
-        scale = SIDE / max(height, width)
+    if max(height, width) > MAX_SIDE_PX:
+        scale = MAX_SIDE_PX / max(height, width)
         size = max(round(width * scale), 1), max(round(height * scale), 1)
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
     return np.ascontiguousarray(picture[..., ::-1])

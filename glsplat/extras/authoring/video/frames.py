@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.capture import check_capture
 from glsplat.extras.authoring.check.sharpness import blur_of
-from glsplat.extras.authoring.fit.view import apart
-from glsplat.extras.authoring.networks.people import DetectedPerson
+from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.video.film import MIN_FRAMES, is_video, read_frames
 from glsplat.extras.authoring.video.turns import facing_as, facings
@@ -155,11 +154,11 @@ def _check_turn(frames: Sequence[Frame]) -> None:
         raise CaptureError(
             f"no frame shows {gap:.0f} degrees of the turn; let the person turn on the spot once, evenly"
         )
-    nearest = min(apart(frame.turn, 0.0) for frame in frames)
+    nearest = min(degrees_between(frame.turn, 0.0) for frame in frames)
     if nearest > _MAX_FRONT_DEG:
         raise CaptureError(f"no frame shows the front: the nearest is turned by {nearest:.0f} degrees")
 
 
 def _frontal(frame: Frame) -> float:
     """Return a cost, least for the best front: turn, a hidden face, blur."""
-    return apart(frame.turn, 0.0) / 10 + 3 * (1 - frame.person.face.presence) + 4 * frame.blur
+    return degrees_between(frame.turn, 0.0) / 10 + 3 * (1 - frame.person.face.presence) + 4 * frame.blur

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.fit.view import apart
 from glsplat.extras.authoring.networks.face import find_face
 from glsplat.extras.authoring.networks.hand import find_hand
-from glsplat.extras.authoring.networks.people import DetectedPerson, swapped
+from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between, swap_sides
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
 __all__ = ["facing_as", "facings"]
@@ -53,9 +52,9 @@ def facings(people: Sequence[DetectedPerson], *, in_order: bool) -> F64:
 def facing_as(picture: NDArray[np.uint8], person: DetectedPerson, turn: float) -> DetectedPerson:
     """Return the person for a known turn, degrees: swaps left and right if they disagree, and finds the face again."""
     measured = _measured_turn(person)
-    if apart(measured, turn) <= apart(180.0 - measured, turn) + _SIGMA_DEG:
+    if degrees_between(measured, turn) <= degrees_between(180.0 - measured, turn) + _SIGMA_DEG:
         return person
-    body = swapped(person.body)
+    body = swap_sides(person.body)
     return DetectedPerson(
         body, find_face(picture, body), find_hand(picture, body, "left"), find_hand(picture, body, "right")
     )
@@ -74,10 +73,10 @@ def _measured_turn(person: DetectedPerson) -> float:
 def _costs(person: DetectedPerson, grid: F64) -> F64:
     """Return the cost [72] of each facing direction."""
     measured = _measured_turn(person)
-    off = np.minimum((apart(grid, measured) / _SIGMA_DEG) ** 2, _MAX_COST)
-    other = np.minimum((apart(grid, 180.0 - measured) / _SIGMA_DEG) ** 2, _MAX_COST) + _FLIP_COST
+    off = np.minimum((degrees_between(grid, measured) / _SIGMA_DEG) ** 2, _MAX_COST)
+    other = np.minimum((degrees_between(grid, 180.0 - measured) / _SIGMA_DEG) ** 2, _MAX_COST) + _FLIP_COST
     cost = np.minimum(off, other)
-    front = apart(grid, 0.0)
+    front = degrees_between(grid, 0.0)
     if person.face.presence > _MIN_FACE:
         cost = cost + _FACE_COST * (front > _FACE_UP_TO_DEG)
     elif person.face.presence < _MAX_FACELESS:

@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.open_face import matched, open_face, with_expressions, with_mouth
+from glsplat.extras.authoring.body.open_face import match_open_body, open_face, with_expressions, with_mouth
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.faces.figures import EYES, person
@@ -24,7 +24,7 @@ def test_vertices_are_found_by_their_texture_coordinates_whatever_their_order_an
     parts = tuple(replace(one, faces=place[one.faces].astype(np.int32)) for one in mesh.parts)
     rows = {name: getattr(mesh, name)[order] for name in ("vertices", "joints", "weights")}
     mixed = replace(mesh, **rows, parts=parts)
-    same = matched(mixed, "skin")
+    same = match_open_body(mixed, "skin")
     found = same >= 0
     assert found.sum() > 13_000
     body = open_body()
@@ -37,7 +37,7 @@ def test_a_mesh_of_another_layout_is_refused() -> None:
     mesh = person()
     parts = tuple(replace(one, uv=one.uv * 0.5 + 0.013) for one in mesh.parts)
     with pytest.raises(FormatError, match="texture layout of MakeHuman"):
-        matched(replace(mesh, parts=parts), "skin")
+        match_open_body(replace(mesh, parts=parts), "skin")
 
 
 def test_expressions_move_the_skin_as_the_open_body_does_and_no_eyeball() -> None:

@@ -12,8 +12,14 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from glsplat.extras.authoring.compute.conjugate_gradients import solved
-from glsplat.extras.authoring.compute.threads import _openblas, abreast, aside, found_once, one_blas_thread
+from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
+from glsplat.extras.authoring.compute.threads import (
+    _openblas,
+    locked_cached_property,
+    map_threads,
+    one_blas_thread,
+    run_in_background,
+)
 
 
 def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
@@ -21,9 +27,9 @@ def test_pieces_come_back_in_their_order_and_errors_come_through() -> None:
         time.sleep(0.02 * (3 - piece))
         return piece * 10
 
-    assert abreast(slower_first, [0, 1, 2, 3]) == [0, 10, 20, 30]
+    assert map_threads(slower_first, [0, 1, 2, 3]) == [0, 10, 20, 30]
     with pytest.raises(ZeroDivisionError):
-        abreast(lambda n: 1 // n, [1, 0])
+        map_threads(lambda n: 1 // n, [1, 0])
 
 
 def test_what_is_done_aside_is_waited_for_and_its_errors_come_through() -> None:
@@ -34,12 +40,12 @@ def test_what_is_done_aside_is_waited_for_and_its_errors_come_through() -> None:
         assert going_on.wait(10)
         return "done"
 
-    result = aside(work)
+    result = run_in_background(work)
     assert begun.wait(10)  # before anybody asks for the result
     going_on.set()
     assert result() == "done" == result()
     with pytest.raises(ZeroDivisionError):
-        aside(lambda: 1 // 0)()
+        run_in_background(lambda: 1 // 0)()
 
 
 @pytest.fixture
@@ -79,20 +85,20 @@ def test_threads_that_ask_at_once_have_it_found_once() -> None:
 
         times = 0
 
-        @found_once
+        @locked_cached_property
         def half(self) -> object:
             """What is found of itself."""
             self.times += 1
             time.sleep(0.1)
             return object()
 
-        @found_once
+        @locked_cached_property
         def whole(self) -> list[object]:
             """Asks for the other one from threads while it is found itself."""
-            return abreast(lambda _: self.half, range(4))
+            return map_threads(lambda _: self.half, range(4))
 
     slow = Slow()
-    found = abreast(lambda _: slow.half, range(4)) + slow.whole
+    found = map_threads(lambda _: slow.half, range(4)) + slow.whole
     assert slow.times == 1 and len(set(map(id, found))) == 1
     assert copy.deepcopy(slow).times == 1  # no lock is left in it
     assert Slow().half is not slow.half and (Slow.half.__doc__ or "").startswith("What")
@@ -104,11 +110,11 @@ def test_columns_are_solved_as_numpy_solves_them(count: int) -> None:
     some = rng.normal(size=(count, count)) * (rng.random((count, count)) < 0.2)
     matrix = some @ some.T + np.diag(rng.uniform(0.5, 50, count))
     target = rng.normal(size=(count, 3)) * (1, 1000, 0)
-    found = solved(csr_matrix(matrix), target, np.zeros((count, 3)), rtol=1e-10)
+    found = conjugate_gradients(csr_matrix(matrix), target, np.zeros((count, 3)), rtol=1e-10)
     assert np.allclose(found, np.linalg.solve(matrix, target), rtol=1e-7, atol=1e-9)
 
 
 def test_what_is_solved_already_stays() -> None:
     matrix = csr_matrix(np.diag([1.0, 4.0]) + 0.5)
     answer = np.array([[2.0], [-3.0]])
-    assert np.array_equal(solved(matrix, matrix @ answer, answer), answer)
+    assert np.array_equal(conjugate_gradients(matrix, matrix @ answer, answer), answer)

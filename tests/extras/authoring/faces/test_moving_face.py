@@ -10,7 +10,7 @@ import pytest
 
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.enamel import painted
+from glsplat.extras.authoring.body.enamel import paint_teeth
 from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_face import open_face
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, with_face
@@ -73,7 +73,7 @@ def test_nothing_is_behind_closed_lips_that_stands_out_of_them_and_no_splat_beco
 
 def test_teeth_are_told_apart_lighter_ahead_and_no_longer_than_crowns() -> None:
     parts = open_face()
-    uv, texture = painted(parts.mouth, parts.faces, parts.tooth, parts.lower)
+    uv, texture = paint_teeth(parts.mouth, parts.faces, parts.tooth, parts.lower)
     high, wide = texture.shape[:2]
     column = np.clip((uv[..., 0] * wide).astype(int), 0, wide - 1)
     row = np.clip(((1 - uv[..., 1]) * high).astype(int), 0, high - 1)

@@ -40,7 +40,7 @@ def test_each_arm_is_of_the_kind_that_it_is_most_like() -> None:
     stance = PosePrior("like others", MEAN, SPREAD, arms=mixture)
     angles = MEAN.copy()
     angles[LEFT], angles[RIGHT] = mixture.means[0], mixture.means[2] * (1, -1, -1, -1)
-    mean, factor = stance.about(angles)
+    mean, factor = stance.near(angles)
     assert np.allclose(mean[LEFT], mixture.means[0]) and np.allclose(mean[RIGHT], mixture.means[2] * (1, -1, -1, -1))
     others = np.setdiff1d(np.arange(len(MEAN)), [*LEFT, *RIGHT])
     assert np.allclose(mean[others], MEAN[others]) and np.allclose(
@@ -52,8 +52,8 @@ def test_each_arm_is_of_the_kind_that_it_is_most_like() -> None:
         moved[columns] += off * signs
         level = ((factor @ (moved - mean)) ** 2).sum() - ((factor @ (angles - mean)) ** 2).sum()
         kind = 0 if columns is LEFT else 2
-        assert level == pytest.approx(off @ np.linalg.inv(mixture.spreads[kind]) @ off)
-    assert (POSED.about(angles)[0] == MEAN).all()
+        assert level == pytest.approx(off @ np.linalg.inv(mixture.covariances[kind]) @ off)
+    assert (POSED.near(angles)[0] == MEAN).all()
 
 
 def test_derivatives_of_arms(rng: np.random.Generator) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, Points, open_body
-from glsplat.extras.authoring.fit.body_fit import BodyFit, assembled
+from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit
 from glsplat.extras.authoring.fit.details import fit_details
 from glsplat.extras.authoring.fit.eyes import eyeball
 from glsplat.extras.authoring.fit.face import face_places, fit_face
@@ -18,11 +18,11 @@ from glsplat.extras.authoring.fit.kinematics import PosedBody, fully_posed, proj
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES, MEAN
-from glsplat.extras.authoring.fit.view import SIDES, View, facing
+from glsplat.extras.authoring.fit.view import View, facing
 from glsplat.extras.authoring.networks.face import Face
 from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.extras.authoring.networks.network import Crop
-from glsplat.extras.authoring.networks.people import DetectedPerson
+from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson
 from glsplat.extras.authoring.networks.person import DetectedBody as Readings
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -59,7 +59,7 @@ def fitted(*sides: str) -> tuple[BodyFit, tuple[View, ...]]:
         mask = projected_mask(everywhere(made, bare), body.faces, SIZE)
         views.append(View(mask, np.full((LANDMARK_COUNT, 2), 320.0), np.ones(LANDMARK_COUNT), FOCAL, CENTRE, side))
     zero = np.zeros(len(bare))
-    fit = assembled(body, bare, joints, zero, poses, [body_pose()] * len(sides), views, [0.0] * len(sides))
+    fit = assemble_fit(body, bare, joints, zero, poses, [body_pose()] * len(sides), views, [0.0] * len(sides))
     return fit, tuple(views)
 
 

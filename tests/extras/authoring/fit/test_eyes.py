@@ -8,8 +8,9 @@ import pytest
 
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit import eyes
-from glsplat.extras.authoring.fit.eyes import EyeLook, eyeball, iris_angle, look_of_eye, read_eyes
-from glsplat.extras.authoring.networks.face import Eye, Face
+from glsplat.extras.authoring.fit.eyes import eyeball, iris_angle, read_eyes
+from glsplat.extras.authoring.networks.eye import Eye, EyeLook, read_eye
+from glsplat.extras.authoring.networks.face import Face
 from glsplat.extras.authoring.networks.network import Crop
 
 IRIS, WHITE, SKIN, HAIR = (40, 80, 110), (180, 170, 165), (190, 140, 110), (70, 60, 50)
@@ -34,23 +35,23 @@ def drawn(x: float = 40.0, hair: float = 0.0, height: float = 8.0) -> tuple[np.n
 
 
 def test_an_eye_is_read() -> None:
-    look = look_of_eye(*drawn())
-    assert look.seen and np.allclose(look.iris, (40, 30)) and look.radius == pytest.approx(5)
+    look = read_eye(*drawn())
+    assert look.visible and np.allclose(look.iris, (40, 30)) and look.radius == pytest.approx(5)
     assert np.abs(look.iris_colour - IRIS).max() < 12 and np.abs(look.white_colour - WHITE).max() < 6
 
 
 @pytest.mark.parametrize("change", [{"hair": 1.0}, {"height": 4.0}])
 def test_an_eye_under_hair_or_shut_is_not_seen(change: dict[str, float]) -> None:
-    look = look_of_eye(*drawn(**change))
-    assert not look.seen and np.isnan(look.radius) and np.isnan(look.iris).all()
+    look = read_eye(*drawn(**change))
+    assert not look.visible and np.isnan(look.radius) and np.isnan(look.iris).all()
     assert (look.iris_colour < look.white_colour).all()  # usual ones
 
 
 def test_noise_is_no_eye(rng: np.random.Generator) -> None:
     picture, eye = drawn()
-    assert not look_of_eye(rng.integers(90, 110, picture.shape).astype(np.uint8), eye).seen
+    assert not read_eye(rng.integers(90, 110, picture.shape).astype(np.uint8), eye).visible
     for place in (-500.0, 5000.0, np.nan):  # beside the picture
-        assert not look_of_eye(picture, Eye(eye.iris + place, eye.lids + place, CROP)).seen
+        assert not read_eye(picture, Eye(eye.iris + place, eye.lids + place, CROP)).visible
 
 
 def test_the_hidden_eye_has_the_others_colours(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +60,7 @@ def test_the_hidden_eye_has_the_others_colours(monkeypatch: pytest.MonkeyPatch) 
     picture = np.concatenate([hidden[:, :80], seen[:, 80:]], axis=1)
     monkeypatch.setattr(eyes, "eye_of", lambda picture, face, side: eye if side == "right" else other)
     looks = read_eyes(picture, Face(np.zeros((468, 3)), 1.0, CROP))
-    assert looks["left"].seen and not looks["right"].seen
+    assert looks["left"].visible and not looks["right"].visible
     assert (looks["right"].iris_colour == looks["left"].iris_colour).all() and np.isnan(looks["right"].radius)
 
 

@@ -11,9 +11,10 @@ from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, Hinges, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
-from glsplat.extras.authoring.fit.offsets import MOST, smooth_offsets
+from glsplat.extras.authoring.fit.offsets import OFFSET_RANGE_M, smooth_offsets
 from glsplat.extras.authoring.fit.outline import brimless, edge_distances, lengths_inside, overlap, projected_mask
-from glsplat.extras.authoring.fit.view import SIDES, View, facing
+from glsplat.extras.authoring.fit.view import View, facing
+from glsplat.extras.authoring.networks.people import SIDES
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
@@ -91,10 +92,10 @@ def test_least_squares_descends_the_curved_valley() -> None:
 def test_offsets_meet_what_is_known_and_are_smooth_elsewhere() -> None:
     body = open_body()
     chest = np.flatnonzero(body.skin & (body.vertices[:, 1] > 0.2) & (body.vertices[:, 1] < 0.4))
-    offsets = smooth_offsets(body, chest, np.full(len(chest), 0.02), np.ones(len(chest)))
+    offsets = smooth_offsets(body, chest, np.full(len(chest), 0.02))
     assert abs(np.median(offsets[chest]) - 0.02) < 0.002 and np.abs(offsets[body.vertices[:, 1] < -0.7]).max() < 0.005
     assert offsets.min() >= -1e-9 and offsets.max() <= 0.0205
-    assert smooth_offsets(body, chest, np.full(len(chest), 9.0), np.ones(len(chest))).max() <= MOST[1]
+    assert smooth_offsets(body, chest, np.full(len(chest), 9.0)).max() <= OFFSET_RANGE_M[1]
 
 
 FIGURE, NECK = 480.0, 100  # rows; below it nobody asks

@@ -80,7 +80,7 @@ def test_a_participant() -> None:
     assert found.problem == "" and after.overlap > before.overlap - 0.004
     assert fingers_off(person, after) < min(4.0, fingers_off(person, before) + 0.5)
     assert face_off(person, after) < min(4.5, 0.75 * face_off(person, before))
-    assert all(look.seen for look in read_eyes(person.picture, read.face).values())
+    assert all(look.visible for look in read_eyes(person.picture, read.face).values())
 
 
 @pytest.mark.check
@@ -90,4 +90,4 @@ def test_hair_over_an_eye(name: str, hidden: str) -> None:
     needs_networks()
     picture = capture(name).picture
     read = find_person(picture)
-    assert {side for side, look in read_eyes(picture, read.face).items() if not look.seen} == {hidden}
+    assert {side for side, look in read_eyes(picture, read.face).items() if not look.visible} == {hidden}

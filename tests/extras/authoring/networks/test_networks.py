@@ -106,10 +106,10 @@ def test_a_face_without_eyes_is_looked_for_nearby(
         return face.Face(np.zeros((468, 3)), presence, crop)
 
     monkeypatch.setattr(face, "_face_in", look)
-    monkeypatch.setattr(face, "eyes_shown", lambda picture, found: 2 if found.presence == 0.6 else eyes)
+    monkeypatch.setattr(face, "visible_eyes", lambda picture, found: 2 if found.presence == 0.6 else eyes)
     found = face.find_face(np.zeros((8, 8, 3), np.uint8), body)
-    assert found.elsewhere == elsewhere
+    assert found.displaced == elsewhere
     assert (found.crop.y > lower and found.presence == 0.6) if elsewhere else found.presence == sure
-    monkeypatch.setattr(face, "eyes_shown", lambda picture, found: min(eyes, 1))
+    monkeypatch.setattr(face, "visible_eyes", lambda picture, found: min(eyes, 1))
     doubted = face.find_face(np.zeros((8, 8, 3), np.uint8), body)
-    assert (doubted.presence == sure if eyes else doubted.presence < 0.5) and not doubted.elsewhere
+    assert (doubted.presence == sure if eyes else doubted.presence < 0.5) and not doubted.displaced

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from glsplat.extras.authoring.body.mouth_lining import mouth_lining
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.view_fusion import fusion_of
 from tests.extras.authoring.paint.scene import Scene, photographed
@@ -53,7 +53,7 @@ def test_a_blurred_picture_is_asked_last() -> None:
     scene = photographed("front", "front", "back")
     even = fusion_of(scene.body, scene.shots).shares
     first, second = (fusion_of(scene.body, scene.shots, doubts=doubts).shares for doubts in ([0, 0.2, 0], [0.2, 0, 0]))
-    trunk = (scene.shots[0].trust > 0.5) & ~face_of(scene.body) & (scene.body.vertices[:, 1] < 0.6)
+    trunk = (scene.shots[0].trust > 0.5) & ~face_vertices(scene.body) & (scene.body.vertices[:, 1] < 0.6)
     assert np.allclose(even[trunk, 0], even[trunk, 1], atol=1e-6)
     assert (first[trunk, 0] > 10 * first[trunk, 1]).all() and (second[trunk, 1] > 10 * second[trunk, 0]).all()
 

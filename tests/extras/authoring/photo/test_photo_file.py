@@ -13,7 +13,7 @@ from PIL import Image
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.photo import photo_file
-from glsplat.extras.authoring.photo.photo_file import photo_of, read_photo
+from glsplat.extras.authoring.photo.photo_file import decode_photo, read_photo
 
 
 def scene(width: int = 48, height: int = 64) -> np.ndarray:
@@ -55,39 +55,39 @@ STORED = {  # what a camera writes for a scene when it says this orientation
 def test_every_orientation_comes_out_upright(orientation: int, kind: str) -> None:
     stored = Image.fromarray(np.ascontiguousarray(STORED[orientation](scene())))
     options = {"JPEG": {"quality": 98, "subsampling": 0}, "PNG": {}, "WebP": {"lossless": True}}[kind]
-    photo = photo_of(packed(stored, kind, exif=exif(orientation), **options))
+    photo = decode_photo(packed(stored, kind, exif=exif(orientation), **options))
     assert photo.picture.shape == (64, 48, 3) and photo.size == (48, 64)
     assert np.abs(photo.picture.astype(int) - scene()).max() <= 6
 
 
 @pytest.mark.parametrize("orientation", [0, 9])
 def test_an_orientation_that_does_not_exist_is_none(orientation: int) -> None:
-    photo = photo_of(packed(Image.fromarray(scene()), "PNG", exif=exif(orientation)))
+    photo = decode_photo(packed(Image.fromarray(scene()), "PNG", exif=exif(orientation)))
     assert np.array_equal(photo.picture, scene())
 
 
 def test_kinds_of_pixels() -> None:
     rgb = Image.fromarray(scene())
-    ink = photo_of(packed(rgb.convert("CMYK"), "JPEG", quality=98)).picture
+    ink = decode_photo(packed(rgb.convert("CMYK"), "JPEG", quality=98)).picture
     assert np.abs(ink.astype(int) - scene()).mean() < 4
     for image in (rgb.convert("L"), rgb.convert("P"), rgb.convert("1"), rgb.convert("LA")):
-        assert photo_of(packed(image, "PNG")).picture.shape == (64, 48, 3)
-    assert photo_of(packed(rgb.convert("L"), "JPEG")).picture.shape == (64, 48, 3)
+        assert decode_photo(packed(image, "PNG")).picture.shape == (64, 48, 3)
+    assert decode_photo(packed(rgb.convert("L"), "JPEG")).picture.shape == (64, 48, 3)
     deep = Image.fromarray(scene()[..., 0].astype(np.uint16) * 257)
-    assert np.array_equal(photo_of(packed(deep, "PNG")).picture[..., 1], scene()[..., 0])
+    assert np.array_equal(decode_photo(packed(deep, "PNG")).picture[..., 1], scene()[..., 0])
 
 
 def test_what_is_transparent_is_white() -> None:
     rgba = np.dstack([scene(), np.full((64, 48), 255, np.uint8)])
     rgba[:10, :, 3] = 0
-    photo = photo_of(packed(Image.fromarray(rgba), "PNG"))
+    photo = decode_photo(packed(Image.fromarray(rgba), "PNG"))
     assert (photo.picture[:10] == 255).all() and np.array_equal(photo.picture[10:], scene()[10:])
     assert photo.notes == ("transparent parts were laid over white",)
 
 
 def test_large_pictures_are_made_smaller_and_the_focal_length_with_them() -> None:
     large = Image.fromarray(scene(1638, 2184))
-    photo = photo_of(packed(large, "JPEG", exif=exif(1, focal=26, width=1638, height=2184)))
+    photo = decode_photo(packed(large, "JPEG", exif=exif(1, focal=26, width=1638, height=2184)))
     assert photo.picture.shape == (2048, 1536, 3) and photo.size == (1638, 2184)
     assert photo.focal == pytest.approx(26 / 43.267 * 2560, rel=1e-3)
     assert photo.notes == ("1638 x 2184 pixels were reduced to 1536 x 2048",)
@@ -98,18 +98,18 @@ def test_large_pictures_are_made_smaller_and_the_focal_length_with_them() -> Non
 )
 def test_a_focal_length_that_cannot_be_true_is_none(inner: dict[str, int]) -> None:
     square = Image.fromarray(scene(64, 64))
-    assert photo_of(packed(square, "JPEG", exif=exif(6, **inner))).focal is None
+    assert decode_photo(packed(square, "JPEG", exif=exif(6, **inner))).focal is None
 
 
 def test_a_turned_picture_keeps_its_focal_length() -> None:
     stored = Image.fromarray(scene(64, 48))
-    assert photo_of(packed(stored, "JPEG", exif=exif(6, focal=50, width=64, height=48))).focal == pytest.approx(
+    assert decode_photo(packed(stored, "JPEG", exif=exif(6, focal=50, width=64, height=48))).focal == pytest.approx(
         92.45, rel=1e-3
     )
 
 
 def test_a_colour_profile_is_said() -> None:
-    photo = photo_of(packed(Image.fromarray(scene()), "JPEG", icc_profile=b"x" * 200))
+    photo = decode_photo(packed(Image.fromarray(scene()), "JPEG", icc_profile=b"x" * 200))
     assert "profile is not applied" in photo.notes[0]
 
 
@@ -146,20 +146,20 @@ def png_of(width: int, height: int) -> bytes:
 
 
 def test_bombs_are_refused_before_decoding(monkeypatch) -> None:
-    for decoder in ("_jpeg", "_other"):
+    for decoder in ("_decode_jpeg", "_decode_other"):
         monkeypatch.setattr(photo_file, decoder, lambda *_: pytest.fail("decoded"))
     with pytest.raises(FormatError, match=r"60000 x 60000 pixels are too many \(at most 64 megapixels"):
-        photo_of(png_of(60000, 60000))
+        decode_photo(png_of(60000, 60000))
     with pytest.raises(FormatError, match="31000 x 10 pixels are too many"):
-        photo_of(png_of(31000, 10))
+        decode_photo(png_of(31000, 10))
     jpeg = bytearray(packed(Image.fromarray(scene()), "JPEG"))
     place = jpeg.index(b"\xff\xc0")
     jpeg[place + 5 : place + 9] = b"\xff\xff\xff\xff"
     with pytest.raises(FormatError, match="65535 x 65535 pixels are too many"):
-        photo_of(bytes(jpeg))
-    monkeypatch.setattr(photo_file, "MOST_BYTES", 10)
+        decode_photo(bytes(jpeg))
+    monkeypatch.setattr(photo_file, "MAX_BYTES", 10)
     with pytest.raises(FormatError, match="at most"):
-        photo_of(bytes(11))
+        decode_photo(bytes(11))
 
 
 def test_hostile_metadata_neither_costs_memory_nor_warns() -> None:
@@ -175,15 +175,15 @@ def test_hostile_metadata_neither_costs_memory_nor_warns() -> None:
     for entries, count in ((shared, 60_000), (cycle, 1)):
         data = with_part(b"eXIf", b"II*\0" + struct.pack("<IH", 8, count) + entries + bytes(4))
         tracemalloc.start()
-        photo = photo_of(data)
+        photo = decode_photo(data)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert photo.focal is None and np.array_equal(photo.picture, scene()) and peak < 100e6
     with pytest.raises(FormatError, match="PNG file cannot be read"):
-        photo_of(with_part(b"zTXt", b"a\0\0" + zlib.compress(bytes(50_000_000))))
+        decode_photo(with_part(b"zTXt", b"a\0\0" + zlib.compress(bytes(50_000_000))))
     wide = b"VP8X" + struct.pack("<I", 10) + bytes(4) + b"\xff\x3f\0" * 2
     with pytest.raises(FormatError, match="WebP file claims too many pixels"):
-        photo_of(b"RIFF" + struct.pack("<I", 4 + len(wide)) + b"WEBP" + wide)
+        decode_photo(b"RIFF" + struct.pack("<I", 4 + len(wide)) + b"WEBP" + wide)
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WebP"])
@@ -191,7 +191,7 @@ def test_truncated_files_are_refused(kind: str) -> None:
     data = packed(Image.fromarray(scene()), kind)
     for size in (12, len(data) // 3, len(data) // 2, len(data) - 2):
         with pytest.raises(FormatError):
-            photo_of(data[:size])
+            decode_photo(data[:size])
 
 
 def test_a_folder_and_nothing(tmp_path) -> None:
@@ -244,7 +244,7 @@ def test_fuzzed_files_give_a_picture_or_one_line(
         else:
             data[place:place] = rng.bytes(int(rng.integers(1, 64)))
         try:
-            photo = photo_of(bytes(repaired(data) if kind == "PNG" and index % 5 else data))
+            photo = decode_photo(bytes(repaired(data) if kind == "PNG" and index % 5 else data))
             assert photo.picture.dtype == np.uint8 and photo.picture.ndim == 3
         except FormatError as error:
             assert "\n" not in str(error) and len(str(error)) < 300, error

@@ -27,8 +27,8 @@ def replace_check(monkeypatch: Any) -> dict[str, tuple[Finding, ...]]:
     """Replace the check by the findings of a dictionary for each side; no network runs."""
     findings: dict[str, tuple[Finding, ...]] = {}
 
-    def check(picture: Any, view: str = "front", config: Any = None, given: Any = None) -> Capture:
-        mask = np.ones(picture.shape[:2], bool) if given is None else given
+    def check(picture: Any, view: str = "front", known_mask: Any = None) -> Capture:
+        mask = np.ones(picture.shape[:2], bool) if known_mask is None else known_mask
         nobody = any(finding.code == "nobody" for finding in findings.get(view, ()))
         return Capture(findings.get(view, ()), None if nobody else Nobody(), mask)  # type: ignore[arg-type]
 
@@ -81,7 +81,7 @@ class Detailed(Plain):
 
     def report(self, pictures: Any, masks: Any, options: Any) -> MadeAvatar:
         self.calls.append((pictures, masks, options))
-        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        view = SimpleNamespace(overlap=0.5, landmark_error=9.0, uncertainty={})
         mesh, fit = None, SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         if self.fitted:
             views = []
@@ -102,7 +102,7 @@ class Meshed(Detailed):
         self.calls.append((pictures, masks, options))
         person = photographed("front")
         mesh = baked(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
-        view = SimpleNamespace(overlap=0.5, strays=9.0, doubts={})
+        view = SimpleNamespace(overlap=0.5, landmark_error=9.0, uncertainty={})
         fit: Any = SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         return FittedBody(fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.check.capture import check_capture
-from glsplat.extras.authoring.photo.photo_file import photo_of
+from glsplat.extras.authoring.photo.photo_file import decode_photo
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
 from glsplat.formats import save
@@ -26,7 +26,7 @@ SPLATS, HEIGHT = 8_000, 1.66
 
 
 def made(data: bytes) -> Avatar:
-    photo = photo_of(data)
+    photo = decode_photo(data)
     seen = check_capture(photo.picture)
     assert seen.good, seen.findings
     pictures = {"front": Picture(photo.picture, photo.focal, seen.person)}

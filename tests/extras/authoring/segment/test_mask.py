@@ -12,9 +12,9 @@ from PIL import Image
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.networks.network import Crop
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
-from glsplat.extras.authoring.photo.photo_file import photo_of
+from glsplat.extras.authoring.photo.photo_file import decode_photo
 from glsplat.extras.authoring.segment.mask import MaskConfig, person_mask
-from glsplat.extras.authoring.segment.mask_file import mask_of
+from glsplat.extras.authoring.segment.mask_file import read_mask
 from tests.extras.authoring.captures import capture, needs_networks
 
 
@@ -59,7 +59,7 @@ def test_the_outline_is_found_and_the_shadow_left_out() -> None:
     assert iou(body.mask > 0.5, true) < 0.92
     assert iou(mask, true) > 0.975
     assert (body.mask > 0.5)[shadow].mean() > 0.5 and mask[shadow].mean() < 0.35
-    unaware = person_mask(picture, body, MaskConfig(shadow=1e6))
+    unaware = person_mask(picture, body, MaskConfig(shadow_log_odds=1e6))
     assert unaware[shadow].mean() > mask[shadow].mean() + 0.25
     assert cv2.connectedComponents(mask.astype(np.uint8))[0] == 2
 
@@ -119,7 +119,7 @@ def picture(width: int = 60, height: int = 90, **options: object) -> bytes:
     return out.getvalue()
 
 
-PHOTO = photo_of(picture())
+PHOTO = decode_photo(picture())
 GREY = Image.fromarray((shape() * 255).astype(np.uint8))
 CLEAR = Image.fromarray(np.dstack([np.full((90, 60, 3), 80), shape() * 255]).astype(np.uint8))
 TURNED = Image.Exif()
@@ -141,34 +141,34 @@ TURNED[0x0112] = 6  # as stored it has to be turned to the right
 )
 def test_every_way_to_draw_one(tmp_path, name, image, options) -> None:
     image.save(tmp_path / name, **options)
-    assert np.array_equal(mask_of(tmp_path / name, PHOTO), shape())
+    assert np.array_equal(read_mask(tmp_path / name, PHOTO), shape())
 
 
 def test_a_mask_shrinks_with_its_picture(tmp_path) -> None:
-    small = photo_of(picture(600, 900), side=90)
+    small = decode_photo(picture(600, 900), side=90)
     Image.fromarray((shape(600, 900) * 255).astype(np.uint8)).save(tmp_path / "a.png")
-    found = mask_of(tmp_path / "a.png", small)
+    found = read_mask(tmp_path / "a.png", small)
     assert found.shape == small.picture.shape[:2] == (90, 60) and (found != shape()).mean() < 0.01
 
 
 def test_an_array_is_taken_as_it_is() -> None:
-    assert mask_of(shape(), PHOTO) is not None
+    assert read_mask(shape(), PHOTO) is not None
     for wrong in (shape(61), shape() * 1.0, shape()[None]):
         with pytest.raises(FormatError, match=r"a mask needs booleans \(90, 60\), one for each pixel, not"):
-            mask_of(wrong, PHOTO)
+            read_mask(wrong, PHOTO)
 
 
 def test_what_does_not_belong_is_one_line(tmp_path) -> None:
     path = tmp_path / "a.png"
     Image.fromarray((shape(90, 60) * 255).astype(np.uint8)).save(path)
     with pytest.raises(FormatError, match=r"a.png: the mask has 90 x 60 pixels, its picture 60 x 90 \(upright\)"):
-        mask_of(path, PHOTO)
+        read_mask(path, PHOTO)
     for value, share in ((0, "0.0%"), (255, "100.0%")):
         Image.new("L", (60, 90), value).save(path)
         with pytest.raises(FormatError, match=f"a.png: {share} of the mask are white, that is no person"):
-            mask_of(path, PHOTO)
+            read_mask(path, PHOTO)
     path.write_bytes(b"nonsense")
     with pytest.raises(FormatError, match="expected a photograph"):
-        mask_of(path, PHOTO)
+        read_mask(path, PHOTO)
     with pytest.raises(FormatError, match="cannot be read"):
-        mask_of(tmp_path / "absent.png", PHOTO)
+        read_mask(tmp_path / "absent.png", PHOTO)

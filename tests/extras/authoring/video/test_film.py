@@ -147,6 +147,6 @@ def test_a_pipe_does_not_block(tmp_path: Path) -> None:
 
 
 def test_large_frames_are_resized(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(film, "SIDE", 48)
+    monkeypatch.setattr(film, "MAX_SIDE_PX", 48)
     path = write(tmp_path / "a.avi", [picture(number) for number in range(9)], "MJPG")
     assert {frame.shape for frame in read_frames(path, 9)} == {(32, 48, 3)}

@@ -12,7 +12,7 @@ import pytest
 
 from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.capture import Capture, Finding
-from glsplat.extras.authoring.fit.view import apart
+from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.video import frames as module
 from glsplat.extras.authoring.video.frames import check_frames, frames_of
@@ -113,7 +113,7 @@ def person(turn: float, face: float | None = None) -> Any:
     for name, half in (("shoulder", 0.18), ("hip", 0.12)):
         across = half * np.array([np.cos(np.radians(turn)), 0.0, np.sin(np.radians(turn))])
         world[LANDMARKS.index(f"left_{name}")], world[LANDMARKS.index(f"right_{name}")] = across, -across
-    presence = float(apart(turn, 0) < 75) if face is None else face
+    presence = float(degrees_between(turn, 0) < 75) if face is None else face
     return SimpleNamespace(body=SimpleNamespace(world=world), face=SimpleNamespace(presence=presence))
 
 
@@ -126,7 +126,7 @@ def off(found: np.ndarray, turns: np.ndarray) -> np.ndarray:
 def test_noise_and_flips_are_corrected(rng: np.random.Generator, whole: float, start: float) -> None:
     turns = start + np.arange(30) * 360 * whole / 30 + rng.normal(0, 3, 30)
     measured = turns + rng.normal(0, 8, 30)
-    people = [person(turn, float(apart(true, 0) < 75)) for turn, true in zip(measured, turns, strict=True)]
+    people = [person(turn, float(degrees_between(true, 0) < 75)) for turn, true in zip(measured, turns, strict=True)]
     for index in (3, 12, 20):  # a back for a front
         people[index] = person(180 - measured[index], 0.5)
     people[8] = person(float(rng.uniform(0, 360)), 0.5)
@@ -145,4 +145,4 @@ def test_pictures_in_no_order() -> None:
     found = facings([person(turn) for turn in turns], in_order=False)
     assert off(found, turns).max() < 5 and (found >= 0).all() and (found < 360).all()
     mirrored = person(180.0, 1.0)  # a face is seen: this is a front
-    assert apart(float(facings([mirrored], in_order=False)[0]), 0) < 10
+    assert degrees_between(float(facings([mirrored], in_order=False)[0]), 0) < 10

@@ -1,1 +1,1 @@
-"""People as they stand: several poses to begin a fit from, and arms apart from the trunk."""
+"""Priors of standing people: several poses to start a fit from, and arms relative to the trunk."""

@@ -1,4 +1,4 @@
-"""Arms apart from the trunk: where they hide its outline, and how much of them a fit has hidden behind it."""
+"""Relate arms to the trunk: where they hide its outline, and how much of them lies behind it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.segments import HANDS, arm_layers, forearms, joint_weights
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
@@ -17,74 +18,44 @@ from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["TRUNK", "before_trunk", "beside_arms", "forearms", "hands", "hidden_arms", "layers"]
+__all__ = ["before_trunk", "beside_arms", "hands", "hidden_arms"]
 
 F64 = NDArray[np.float64]
 
-TRUNK = 0
-"""In ``layers``: everything that is no arm, legs and head included. The left arm is 1 and the right one 2."""
-
-_SIDES = ("left", "right")
-_DISTAL = 0.35  # share of the upper arm that goes with the trunk, since sleeves begin there
-_FOREARM = ("elbow", "wrist", "index", "middle", "pinky", "ring", "thumb")
-_COARSE = 300.0  # pixels of the person's height that depths are compared with
-_BEHIND = 0.01  # metres
-_SHOWN = 0.6  # visibility of a wrist from which on its forearm is taken to lie before the trunk
-_SOME = 60  # of a forearm's vertices
-_WITHIN = 0.015  # of the person's height that it lies within the trunk's outline; nearer to it an arm may hang beside
-
-
-@lru_cache(maxsize=1)
-def layers(body: Body) -> NDArray[np.intp]:
-    """[V] TRUNK, 1 or 2: what a picture can show one over the other."""
-    out = np.full(len(body.vertices), TRUNK, np.intp)
-    for layer, side in enumerate(_SIDES, 1):
-        shoulder, elbow = (body.joints[JOINT_NAMES.index(f"{side}_{name}")] for name in ("shoulder", "elbow"))
-        along = (body.vertices - shoulder) @ (elbow - shoulder) / ((elbow - shoulder) @ (elbow - shoulder))
-        upper = _held(body, side, (*_FOREARM, "shoulder")) > 0.5
-        out[(_held(body, side, _FOREARM) > 0.5) | (upper & (along > _DISTAL))] = layer
-    return out
-
-
-@lru_cache(maxsize=1)
-def forearms(body: Body) -> NDArray[np.bool_]:
-    """[V] what hangs on the elbows."""
-    return np.asarray(sum(_held(body, side, _FOREARM) for side in _SIDES) > 0.5)
-
-
-def _held(body: Body, side: str, parts: tuple[str, ...]) -> F64:
-    """[V] how much these joints of a side hold of each vertex."""
-    own = np.array([name.startswith(f"{side}_") and any(part in name for part in parts) for name in JOINT_NAMES])
-    return np.asarray((body.skin_weights * own[body.skin_joints]).sum(axis=1))
+_MAX_FIGURE_PX = 300.0  # height of the person in the depth map
+_MIN_DEPTH_M = 0.01  # of an arm behind the trunk's front
+_MIN_VISIBILITY = 0.6  # of a wrist whose forearm lies in front of the trunk
+_SAMPLES = 60  # vertices of a forearm
+_MIN_INSET_FRACTION = 0.015  # of the person's height, from the trunk's outline; nearer arms may hang beside it
 
 
 @lru_cache(maxsize=1)
 def hands(body: Body) -> NDArray[np.bool_]:
-    """[V] what hangs on the wrists."""
-    return np.asarray(sum(_held(body, side, _FOREARM[1:]) for side in _SIDES) > 0.5)
+    """Return a mask [V] of the hands."""
+    return np.asarray(sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) > 0.5)
 
 
 def beside_arms(
-    body: Body, pixels: F64, shape: tuple[int, int], reach: float, some: NDArray[np.bool_] | None = None
+    body: Body, pixels: F64, shape: tuple[int, int], reach: float, chosen: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
-    """[H, W] the arms of a body that lies at ``pixels`` [V, 2], or ``some`` [V] of it, and ``reach`` pixels around.
+    """Return the mask [H, W] of the arms, or of the ``chosen`` [V] vertices, grown by ``reach`` pixels.
 
-    What a mask's edge says there is said of an arm, whether it lies before the trunk, behind it or along it.
+    ``pixels`` [V, 2] are those of the body. The mask's edge within it belongs to an arm, not to the trunk.
     """
-    own = ((layers(body) != TRUNK) if some is None else some)[body.faces].all(axis=1)
+    own = ((arm_layers(body) > 0) if chosen is None else chosen)[body.faces].all(axis=1)
     arms = projected_mask(pixels, body.faces[own], shape).astype(np.uint8)
     return np.asarray(cv2.distanceTransform(1 - arms, cv2.DIST_L2, 3) <= reach)
 
 
 def hidden_arms(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[int, int]) -> tuple[float, float]:
-    """Share of each forearm with its hand that lies in the trunk or behind it, left and right, 0 to 1.
+    """Return the fraction of each forearm and hand (left, right) that lies in the trunk or behind it.
 
-    ``where`` [V, 3] is the surface in camera axes, metres, which a picture of ``shape`` has at ``pixels`` [V, 2]. Of
-    what turns to the camera; an arm that turns nothing there has nothing to hide.
+    ``where`` [V, 3] is the surface in camera axes, metres, with ``pixels`` [V, 2] in a picture of ``shape`` (H, W).
+    Only the surface that faces the camera counts; 0 for an arm without any.
     """
-    behind = where[:, 2] > _trunk_depth(body, where, pixels, focal, shape) + _BEHIND
+    behind = where[:, 2] > _trunk_depth(body, where, pixels, focal, shape) + _MIN_DEPTH_M
     turned = (vertex_normals(where, body.faces) * where).sum(axis=1) < 0
-    arms = [(layers(body) == layer) & forearms(body) & turned for layer in (1, 2)]
+    arms = [(arm_layers(body) == layer) & forearms(body) & turned for layer in (1, 2)]
     left, right = (float(behind[arm].mean()) if arm.any() else 0.0 for arm in arms)
     return left, right
 
@@ -92,27 +63,27 @@ def hidden_arms(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[
 def before_trunk(
     body: Body, where: F64, pixels: F64, focal: float, shape: tuple[int, int], visible: F64
 ) -> tuple[NDArray[np.intp], F64]:
-    """Vertices [K] of forearms that a picture shows over the trunk, and metres [K] of depth that they may have there.
+    """Return vertices [K] of forearms that are visible in front of the trunk, and their largest depths [K] in metres.
 
-    ``visible`` [2] is how well the left wrist and the right one are seen; the others as in ``hidden_arms``.
+    ``visible`` [2] is the visibility of the left and right wrist; for the others see ``hidden_arms``.
     """
-    depth = _trunk_depth(body, where, pixels, focal, shape, _WITHIN)
+    depth = _trunk_depth(body, where, pixels, focal, shape, _MIN_INSET_FRACTION)
     chosen = [np.zeros(0, np.intp)]
-    for layer in np.flatnonzero(visible > _SHOWN) + 1:
-        arm = np.flatnonzero((layers(body) == layer) & forearms(body))
-        total = np.cumsum(_areas(body)[arm])  # a hand has as many vertices as a leg
-        arm = arm[np.unique(np.searchsorted(total, np.linspace(0, total[-1], _SOME)))]
+    for layer in np.flatnonzero(visible > _MIN_VISIBILITY) + 1:
+        arm = np.flatnonzero((arm_layers(body) == layer) & forearms(body))
+        total = np.cumsum(_areas(body)[arm])  # evenly by area: a hand has as many vertices as a leg
+        arm = arm[np.unique(np.searchsorted(total, np.linspace(0, total[-1], _SAMPLES)))]
         chosen.append(arm[np.isfinite(depth[arm])])
     vertices = np.concatenate(chosen)
     return vertices, depth[vertices]
 
 
 def _trunk_depth(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[int, int], within: float = 0.0) -> F64:
-    """[V] metres of depth that the trunk has at each vertex's pixel, infinite beside it; see ``hidden_arms``.
+    """Return the trunk's depth [V] in metres at each vertex's pixel; see ``hidden_arms``.
 
-    Infinite, too, nearer to its outline than ``within``, a share of the person's height.
+    Infinite beside the trunk and nearer to its outline than ``within``, a fraction of the person's height.
     """
-    scale = min(_COARSE / max(float(np.ptp(pixels[:, 1])), 1.0), 1.0)
+    scale = min(_MAX_FIGURE_PX / max(float(np.ptp(pixels[:, 1])), 1.0), 1.0)
     height, width = (max(round(side * scale), 1) for side in shape)
     x, y = (pixels - where[:, :2] / where[:, 2:] * focal).mean(axis=0) * scale
     trunk = _trunk(body)
@@ -130,14 +101,14 @@ def _trunk_depth(body: Body, where: F64, pixels: F64, focal: float, shape: tuple
 
 @lru_cache(maxsize=1)
 def _areas(body: Body) -> F64:
-    """[V] square metres of the surface around each vertex."""
+    """Return the surface area [V] of each vertex, square metres."""
     area = triangle_areas(body.vertices, body.faces) / 3
     return np.asarray(np.bincount(body.faces.ravel(), np.repeat(area, 3), len(body.vertices)), np.float64)
 
 
 @lru_cache(maxsize=1)
 def _trunk(body: Body) -> RiggedMesh:
-    own = (layers(body)[body.faces] == TRUNK).any(axis=1)
+    own = (arm_layers(body)[body.faces] == 0).any(axis=1)
     part = MeshPart("trunk", body.faces[own], body.uv[own], np.full((1, 1, 4), 255, np.uint8))
     skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), body.joints)
     return RiggedMesh(body.vertices, skeleton, body.skin_joints.astype(np.int64), body.skin_weights, (part,))

@@ -1,10 +1,12 @@
-"""Several ways in which somebody may stand, for a fit to begin with: one alone takes crossed arms for spread ones.
+"""Priors of the pose for several starts of a fit.
 
-A picture is flat, so an arm before the belly and one behind the back look alike to landmarks and outline, and descent
-does not go from one to the other. The pose network's rough metres know which it is, most of the time.
+An arm in front of the belly and one behind the back have similar landmarks and outlines, and descent does not pass
+from one to the other. The pose network's rough world landmarks usually tell them apart.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,112 +16,125 @@ from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
 from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
 from glsplat.extras.authoring.fit.standing.arms import arm_mixture
-from glsplat.extras.authoring.fit.view import View, apart
+from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["ASIDE", "metres_of", "misread", "stances_of"]
+__all__ = ["MIN_ASIDE_RAD", "arm_direction_error", "stances_of", "trusted_world"]
 
 F64 = NDArray[np.float64]
 
-ASIDE = 0.35
-"""Radians of the metres' turn from which on somebody has turned aside; from there on these fall short of the truth."""
+MIN_ASIDE_RAD = 0.35
+"""Turn of a person who has turned aside; the network's world landmarks underestimate larger turns."""
 
 _SIDES = ("left", "right")
-_ARMS, _LEGS = ("shoulder", "elbow"), ("hip", "knee")
-_NUMBERS = {"shoulder": 11, "elbow": 13, "wrist": 15, "hip": 23, "knee": 25, "ankle": 27}  # left; the right is next
+_ARM_JOINTS, _LEG_JOINTS = ("shoulder", "elbow"), ("hip", "knee")
+_LANDMARKS = {
+    "shoulder": 11,
+    "elbow": 13,
+    "wrist": 15,
+    "hip": 23,
+    "knee": 25,
+    "ankle": 27,
+}  # left; right: one more
 _LEG_BONES = tuple(
     (f"{side}_{upper}", f"{side}_{lower}") for side in _SIDES for upper, lower in (("hip", "knee"), ("knee", "ankle"))
 )
-_ACROSS = tuple((f"left_{name}", f"right_{name}") for name in ("shoulder", "hip"))
-_DIRECTION = 0.12  # how far off a bone's rough direction is, as a share of its length
-_TURNED = 60.0  # degrees between the shoulders' turn and the view's: a network that errs there errs in all depths
-_LOOKS = 0.5  # radians that a head may be turned for the trunk to be taken to be turned like it
-_TURN = 0.1  # radians about the turn that metres and face have said
-_SHAPE = 0.8  # of shape, one standard deviation: where limbs fore-shorten, a stout body looks like knees that bend
-_CROSSED = 0.6  # so much across, each to the other side, do crossed forearms point
-_SLEEVES = 0.03, 0.008  # of the figure: of crossed arms, whose elbows' landmarks stray by 5 to 7 cm, and of others
-_FREE = 1.2  # radians that an angle may leave the mean for it
-_READ = {"shoulder": 0.35, "elbow": 0.35, "hip": 0.15, "knee": 0.15}  # radians about what was read
-_LOOSE: dict[tuple[str, int], float] = {
+_TRUNK_BONES = tuple((f"left_{name}", f"right_{name}") for name in ("shoulder", "hip"))
+_BONE_SD = 0.12  # of the network's unit vectors along bones
+_MAX_TURN_ERROR_DEG = 60.0  # between the shoulders' turn and the view's; with a larger one all depths are wrong
+_MAX_HEAD_TURN_RAD = 0.5  # between face and trunk, for the face to correct the trunk's turn
+_TURN_SD_RAD = 0.1  # of the turn from network and face
+_SHAPE_SD = 0.8  # narrower than usual, because in foreshortened limbs a stout body looks like bent knees
+_MIN_CROSSED_SINE = 0.6  # sideways component of crossed forearms
+_CROSSED_SLEEVE_FRACTION, _SLEEVE_FRACTION = 0.03, 0.008  # of the height; elbows of crossed arms err by 5 to 7 cm
+_READ_SD_RAD = 1.2  # of angles about the mean, while they are fitted to the network's bones
+_STANCE_SD_RAD = {"shoulder": 0.35, "elbow": 0.35, "hip": 0.15, "knee": 0.15}  # about the angles read
+_AT_EASE_SD_RAD: dict[tuple[str, int], float] = {
     ("elbow", 1): 0.5,
     ("elbow", 2): 0.25,
     **{("shoulder", axis): 0.45 for axis in range(3)},
     **{("hip", axis): 0.2 for axis in range(3)},
     ("knee", 0): 0.2,
-}  # radians about the mean
+}  # about the mean
 
 
 def stances_of(view: View, body: Body) -> tuple[PosePrior, ...]:
-    """How the person of a view may stand: posed as asked; where the view has metres, as these say, and like others.
+    """Return the priors of a view's pose: posed, and with world landmarks also as these, and like other people.
 
-    Metres that are not believed leave somebody at ease.
+    With world landmarks that are not trusted the second one is a pose at ease.
     """
     if view.world is None:
         return (POSED,)
-    metres = metres_of(view)
+    world = trusted_world(view)
     loose = SPREAD.copy()
     for column, (name, axis) in enumerate(HINGES.names):
-        loose[column] = max(loose[column], _LOOSE.get((_plain(name), axis), 0.0))
+        loose[column] = max(loose[column], _AT_EASE_SD_RAD.get((_plain(name), axis), 0.0))
     at_ease = PosePrior("at ease", MEAN, loose)
-    if metres is None:
+    if world is None:
         return POSED, at_ease
-    angles, turn = _read(metres, view, body)
-    turn = _faced(view, turn)
-    legs = np.array([_plain(name) in _LEGS for name, _ in HINGES.names])
+    angles, turn = _angles_along(world, view, body)
+    turn = _corrected_by_face(view, turn)
+    legs = np.array([_plain(name) in _LEG_JOINTS for name, _ in HINGES.names])
     about = np.array(
         [
-            max(wide, _READ[_plain(name)]) if _plain(name) in _LEGS else _READ.get(_plain(name), wide)
+            max(wide, _STANCE_SD_RAD[_plain(name)])
+            if _plain(name) in _LEG_JOINTS
+            else _STANCE_SD_RAD.get(_plain(name), wide)
             for (name, _), wide in zip(HINGES.names, loose, strict=True)
         ]
     )
-    said = unit_vectors(np.array([_at(metres, end) - _at(metres, start) for start, end in ARM_BONES]))
-    crossed = said[1, 0] < -_CROSSED and said[3, 0] > _CROSSED
-    sleeve = _SLEEVES[0 if crossed else 1]
-    read = PosePrior("read", angles, about, turn, _TURN, _SHAPE, sleeve, bones=said)
+    bones = _directions(world, ARM_BONES)
+    crossed = bones[1, 0] < -_MIN_CROSSED_SINE and bones[3, 0] > _MIN_CROSSED_SINE
+    common = turn, _TURN_SD_RAD, _SHAPE_SD, _CROSSED_SLEEVE_FRACTION if crossed else _SLEEVE_FRACTION
     usual = np.where(legs, angles, MEAN)
-    return POSED, read, PosePrior("like others", usual, about, turn, _TURN, _SHAPE, sleeve, angles, arm_mixture(), said)
+    return (
+        POSED,
+        PosePrior("read", angles, about, *common, bones=bones),
+        PosePrior("like others", usual, about, *common, angles, arm_mixture(), bones),
+    )
 
 
-def _faced(view: View, turn: float) -> float:
-    """The metres' ``turn`` in radians, put right by the face's: who is turned looks at the camera, not past it."""
+def _corrected_by_face(view: View, turn: float) -> float:
+    """Return the trunk's ``turn`` in radians, corrected by the face's, because turned people look at the camera."""
     if view.face is None:
         return turn
     faced = -float(np.radians((view.face - view.turn + 180) % 360 - 180))  # about the camera's y, which looks down
-    if abs(faced - turn) > _LOOKS:
+    if abs(faced - turn) > _MAX_HEAD_TURN_RAD:
         return turn
-    return faced if abs(faced) > abs(turn) > ASIDE and faced * turn > 0 else (turn + faced) / 2
+    return faced if abs(faced) > abs(turn) > MIN_ASIDE_RAD and faced * turn > 0 else (turn + faced) / 2
 
 
-def metres_of(view: View) -> F64 | None:
-    """[33, 3] the network's metres of a view where it has any that face the side that the view shows, else None."""
+def trusted_world(view: View) -> F64 | None:
+    """Return the view's world landmarks [33, 3] if they face the side that the view shows, else None."""
     if view.world is None:
         return None
-    across = _at(view.world, "left_shoulder") - _at(view.world, "right_shoulder")
+    across = _landmark(view.world, "left_shoulder") - _landmark(view.world, "right_shoulder")
     turn = float(np.degrees(np.arctan2(across[2], across[0])))
-    return view.world if apart(turn, view.turn) <= _TURNED else None
+    return view.world if degrees_between(turn, view.turn) <= _MAX_TURN_ERROR_DEG else None
 
 
-def misread(world: F64, joints: F64) -> float:
-    """How far the arms of fitted ``joints`` [55, 3] point elsewhere than those of the network's metres [33, 3].
+def arm_direction_error(world: F64, joints: F64) -> float:
+    """Return the mean distance (0 to 2) of unit vectors along the arms of ``world`` [33, 3] and ``joints`` [55, 3].
 
-    Mean distance between unit vectors along upper arms and forearms, 0 to 2; both in camera axes.
+    Both are in camera axes, metres.
     """
-    said = unit_vectors(np.array([_at(world, end) - _at(world, start) for start, end in ARM_BONES]))
     starts, ends = ([JOINT_NAMES.index(bone[k]) for bone in ARM_BONES] for k in (0, 1))
-    return float(np.linalg.norm(said - unit_vectors(joints[ends] - joints[starts]), axis=1).mean())
+    away = _directions(world, ARM_BONES) - unit_vectors(joints[ends] - joints[starts])
+    return float(np.linalg.norm(away, axis=1).mean())
 
 
 def _plain(name: str) -> str:
-    """A joint's name without its side."""
+    """Return a joint's name without its side."""
     return name.removeprefix("left_").removeprefix("right_")
 
 
-def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
-    """[D] angles of arms and legs, and the turn, that point the bones as the network's ``metres`` [33, 3] do."""
-    columns = np.array([k for k, (name, _) in enumerate(HINGES.names) if _plain(name) in _ARMS + _LEGS])
-    bones = (*ARM_BONES, *_LEG_BONES, *_ACROSS)
-    said = unit_vectors(np.array([_at(metres, end) - _at(metres, start) for start, end in bones]))
+def _angles_along(world: F64, view: View, body: Body) -> tuple[F64, float]:
+    """Return the angles [D] of arms and legs, and the turn, that point bones along those of ``world`` [33, 3]."""
+    columns = np.array([k for k, (name, _) in enumerate(HINGES.names) if _plain(name) in _ARM_JOINTS + _LEG_JOINTS])
+    bones = (*ARM_BONES, *_LEG_BONES, *_TRUNK_BONES)
+    target = _directions(world, bones)
     ends = body.points_of_joints([name for bone in bones for name in bone])
     place = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
 
@@ -131,13 +146,13 @@ def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
         bone, change = where[1::2] - where[::2], (moves[1::2] - moves[::2])[..., BETAS:]
         length = np.linalg.norm(bone, axis=1)[:, None]
         unit = bone / length
-        residual = np.concatenate([((unit - said) / _DIRECTION).ravel(), (x[1:] - MEAN[columns]) / _FREE])
+        residual = np.concatenate([((unit - target) / _BONE_SD).ravel(), (x[1:] - MEAN[columns]) / _READ_SD_RAD])
         if not derive:
             return residual, np.zeros((0, 0))
         change = change[..., np.concatenate([[4], PLACE + columns])]
         along = np.einsum("bc,bcp->bp", unit, change)
-        slope = (change - unit[..., None] * along[:, None]) / length[..., None] / _DIRECTION
-        free = np.eye(len(x))[1:] / _FREE
+        slope = (change - unit[..., None] * along[:, None]) / length[..., None] / _BONE_SD
+        free = np.eye(len(x))[1:] / _READ_SD_RAD
         return residual, np.concatenate([slope.reshape(-1, len(x)), free])
 
     x = least_squares(equations, np.concatenate([[0.0], MEAN[columns]]), 30)
@@ -146,5 +161,10 @@ def _read(metres: F64, view: View, body: Body) -> tuple[F64, float]:
     return angles, float(x[0])
 
 
-def _at(world: F64, joint: str) -> F64:
-    return np.asarray(world[_NUMBERS[_plain(joint)] + joint.startswith("right_")])
+def _directions(world: F64, bones: Sequence[tuple[str, str]]) -> F64:
+    """Return unit vectors [B, 3] along bones between landmarks."""
+    return unit_vectors(np.array([_landmark(world, end) - _landmark(world, start) for start, end in bones]))
+
+
+def _landmark(world: F64, joint: str) -> F64:
+    return np.asarray(world[_LANDMARKS[_plain(joint)] + joint.startswith("right_")])

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS, half_width, trunk_of
-from glsplat.extras.authoring.compute.threads import abreast
-from glsplat.extras.authoring.fit.offsets import face_of
+from glsplat.extras.authoring.body.segments import HANDS, trunk_half_width, trunk_vertices
+from glsplat.extras.authoring.compute.threads import map_threads
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.ground import BARE, Ground
 from glsplat.extras.authoring.paint.inpaint.pattern import goes_around
@@ -160,13 +160,13 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
     where, trust = part.at(rest), sight.trust[some]
     look = np.sqrt(np.maximum(sight.linear[some] / shade[some, None], 0))
     mine = region[part.corners[:, 0]]
-    share = np.abs(where[:, 0]) / np.maximum(part.at(half_width(rest, trunk_of(body))[:, None])[:, 0], 1e-3)
+    share = np.abs(where[:, 0]) / np.maximum(part.at(trunk_half_width(rest, trunk_vertices(body))[:, None])[:, 0], 1e-3)
     beside = (share > _SIDES[0]) & (share < _SIDES[1])
     trust = trust * np.where((mine == _TRUNK) & ~beside, _MIDDLE, 1.0)
     pixels = shot.project(part.at(shot.view.vertices))
     deep = shot.shallow(pixels, shot.layers_at(part)) >= _SHALLOW
     trust = trust * np.where(deep, 1.0, _MIDDLE)
-    face = (face_of(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
+    face = (face_vertices(body)[part.corners]).all(axis=1) & (sight.trust[some] > 0.7)
     skin = _bright(look[face]) if face.sum() > 2 * FEWEST else None
     shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
     armpit = float(shoulder.mean()) - _ARMPIT
@@ -197,7 +197,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sight: Sigh
             these = replace(these, pattern=pattern)
         return these
 
-    rows = abreast(row_of, range(len(_REGIONS)))
+    rows = map_threads(row_of, range(len(_REGIONS)))
     for left, right in _PAIRS:  # both sleeves, or both legs of trousers, are of the same cloth
         one, other_one = rows[left], rows[right]
         if one is not None and other_one is not None:

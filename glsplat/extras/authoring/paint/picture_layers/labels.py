@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.body.segments import LAYERS, layer_of
-from glsplat.extras.authoring.compute.threads import abreast
+from glsplat.extras.authoring.body.segments import LAYER_COUNT, layer_of
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
 from glsplat.rotations import component_sums
 
@@ -58,8 +58,8 @@ def labels_of(
     height = float(rows[-1] - rows[0] + 1)
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
     label = np.where(mask, 0, NOTHING).astype(np.intp)
-    arms = range(1, LAYERS)
-    found = abreast(lambda k: _arm(lab, mask, segment, k, height, None if bones is None else bones[k - 1]), arms)
+    arms = range(1, LAYER_COUNT)
+    found = map_threads(lambda k: _arm(lab, mask, segment, k, height, None if bones is None else bones[k - 1]), arms)
     for layer, arm in zip(arms, found, strict=True):
         label[arm & ((label == 0) | (layer_of(segment) == layer))] = layer
     label[_room(lab, mask, segment, label, head, height)] = NOTHING
@@ -147,9 +147,11 @@ def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, he
     inner = cv2.erode(mask.astype(np.uint8), disc(2)) > 0
     outer = cv2.dilate(mask.astype(np.uint8), disc(2)) == 0
     # where the fit has a hand and the picture has none, there may be the wall
-    cores = [inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), disc(3)) > 0) for k in range(LAYERS)]
+    cores = [
+        inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), disc(3)) > 0) for k in range(LAYER_COUNT)
+    ]
     asked = [(outer, 0.08), (outer, 0.03), *((core, 0.03) for core in cores)]
-    unlike = abreast(lambda some: _unlike(colours, some[0], some[1] * height), asked)
+    unlike = map_threads(lambda some: _unlike(colours, some[0], some[1] * height), asked)
     room, person = np.minimum(unlike[1], unlike[0]), np.minimum.reduce(unlike[2:])
     shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
     strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.body.segments import FOREARMS, HANDS, LAYERS, layer_of
-from glsplat.extras.authoring.compute.threads import abreast, found_once
+from glsplat.extras.authoring.body.segments import FOREARMS, HANDS, LAYER_COUNT, layer_of
+from glsplat.extras.authoring.compute.threads import locked_cached_property, map_threads
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.paint.picture_layers.fill import continued, disc, nearest_known, sources
@@ -66,18 +66,18 @@ class ShownLayers:
     segment: NDArray[np.intp] | None
     bones: F64 | None
 
-    @found_once
+    @locked_cached_property
     def layer(self) -> NDArray[np.intp]:
         """[V] of the vertices; 0 where the body has one layer only."""
         return np.zeros(len(self.mesh.vertices), np.intp) if self.segment is None else layer_of(self.segment)
 
-    @found_once
+    @locked_cached_property
     def height(self) -> float:
         """Pixels of the person."""
         rows = np.flatnonzero(self.mask.any(axis=1))
         return float(rows[-1] - rows[0] + 1)
 
-    @found_once
+    @locked_cached_property
     def _labelled(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """What the picture shows, and the body's segments, both smaller than the picture."""
         assert self.segment is not None
@@ -94,12 +94,12 @@ class ShownLayers:
         bones = None if self.bones is None else self.bones * (np.array(size) / self.mask.shape[::-1])
         return labels_of(np.asarray(rgb, np.uint8), mask, segment, hand, head, bones), segment
 
-    @found_once
+    @locked_cached_property
     def label(self) -> NDArray[np.intp]:
         """[H, W] the layer that each pixel shows, below zero none."""
         return grown(self._labelled[0], self.mask.shape)
 
-    @found_once
+    @locked_cached_property
     def agreed(self) -> NDArray[np.bool_]:
         """[H, W] where the picture shows what the fitted body shows, and no shadow of an arm lies on it."""
         if self.segment is None:
@@ -109,7 +109,7 @@ class ShownLayers:
         own = (self.label == there) | ((there < 0) & (self.label >= 0))
         return np.asarray(self.mask & own & (self._brightening < _SHADED))
 
-    @found_once
+    @locked_cached_property
     def _brightening(self) -> NDArray[np.float32]:
         """[H, W] how many times as bright the trunk is without arms' shadows."""
         trunk = self._drawn(self._faces(0), min(1.0, _LABELLED / self.height))[0] >= 0
@@ -122,7 +122,7 @@ class ShownLayers:
         """[F, 3] of a layer."""
         return self.mesh.faces[(self.layer[self.mesh.faces] == number).all(axis=1)]
 
-    @found_once
+    @locked_cached_property
     def layers(self) -> list[Layer]:
         """Each layer; the trunk's goes on behind the arms, and cloth behind what is in its way."""
         inner = cv2.erode(self.mask.astype(np.uint8), disc(RIM)) > 0
@@ -147,7 +147,7 @@ class ShownLayers:
             carried = np.where((picture == seen.picture).all(axis=2), seen.far, np.float32(0))
             return replace(seen, picture=picture, far=carried)
 
-        return abreast(cut, range(LAYERS))
+        return map_threads(cut, range(LAYER_COUNT))
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> Layer:
         nearest, row, column = sources(own)
@@ -163,12 +163,12 @@ class ShownLayers:
     def _drawn(self, faces: NDArray[np.int32], scale: float) -> tuple[NDArray[np.int64], F64]:
         return drawn(self.mesh, self.view.vertices, self.focal, self.mask.shape, faces, scale)
 
-    @found_once
+    @locked_cached_property
     def details(self) -> list[NDArray[np.float32]]:
         """[H, W] of each layer the local spread of colour, as a share of what counts as full of detail."""
-        return abreast(lambda seen: busy(seen.picture), self.layers)
+        return map_threads(lambda seen: busy(seen.picture), self.layers)
 
-    @found_once
+    @locked_cached_property
     def room(self) -> tuple[float, NDArray[np.float32]]:
         """Of a smaller picture its scale, and the room's colours carried on into the person."""
         scale = min(1.0, _LABELLED / self.height)
@@ -178,14 +178,14 @@ class ShownLayers:
         small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
         return scale, linear(np.asarray(small[row, column], np.uint8))
 
-    @found_once
+    @locked_cached_property
     def deep(self) -> tuple[float, list[NDArray[np.float32]]]:
         """The same scale, and for each layer how deep in it its pixels lie, in heights of the person."""
         scale = min(1.0, _LABELLED / self.height)
         size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
         label = np.where(self.mask, 0 if self.segment is None else self.label, -1).astype(np.int16)
         small = cv2.resize(label, size, interpolation=cv2.INTER_NEAREST)
-        shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYERS)]
+        shown = [(small == number).astype(np.uint8) for number in range(1 if self.segment is None else LAYER_COUNT)]
         return scale, [
             np.asarray(cv2.distanceTransform(some, cv2.DIST_L2, 3) / (scale * self.height), np.float32)
             for some in shown

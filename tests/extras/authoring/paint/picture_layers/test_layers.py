@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.body.segments import layer_of, segments_of, twins_across
+from glsplat.extras.authoring.body.segments import arm_segments, layer_of, mirror_vertices
 from glsplat.extras.authoring.paint.painter import paint
 from glsplat.extras.authoring.paint.picture_layers.fill import continued, only_in_the_middle
 from glsplat.extras.authoring.paint.picture_layers.labels import NOTHING, labels_of
@@ -108,9 +108,9 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     """The made-up person's left arm is said to be over the trunk by its label: a stripe of green on the belly."""
     scene = photographed("front")
     front = scene.shots[0]
-    segment = segments_of()
+    segment = arm_segments(scene.body)
     assert set(np.unique(segment)) == {0, 1, 2, 3, 4}
-    twin = twins_across()
+    twin = mirror_vertices()
     assert (layer_of(segment)[twin] == np.array([0, 2, 1])[layer_of(segment)]).mean() > 0.99
     shot = FittedPicture(front.rgb, front.mask, front.focal, front.view, front.mesh, segment)
     points = even_points(scene.mesh, 1500)
