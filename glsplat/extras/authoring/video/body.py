@@ -75,7 +75,8 @@ def fit_turning(
     betas = first.betas.copy()
 
     def store(index: int, solver: BodySolver) -> None:
-        poses[index], angles[index], strays[index] = solver.posed(0), solver.angles(0).copy(), landmark_errors(solver)[0]
+        poses[index], angles[index] = solver.posed(0), solver.angles(0).copy()
+        strays[index] = landmark_errors(solver)[0]
 
     others = [index for index in range(len(views)) if index not in poses]
     for done, index in enumerate(others):

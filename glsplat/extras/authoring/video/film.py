@@ -122,7 +122,7 @@ def _chosen(
 
 
 def _check_shape(picture: NDArray[np.uint8], path: str | os.PathLike[str]) -> None:
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MOST_PIXELS:
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.shape[0] * picture.shape[1] > MAX_PIXELS:
         raise FormatError(f"{path}: frames of {picture.shape} are not pictures in colour of a usable size")
 
 
