@@ -17,7 +17,7 @@ from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, Twins, find_twins
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head
 from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
-from glsplat.extras.authoring.paint.inpaint.ground import Ground
+from glsplat.extras.authoring.paint.inpaint.material import Ground
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.mouth_and_eyes import Inside, inside_of

@@ -15,7 +15,7 @@ from glsplat.extras.authoring.compute.threads import found_once
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.picture_layers.fill import continued, disc, only_in_the_middle
-from glsplat.extras.authoring.paint.picture_layers.shown import COARSE, RIM, ShownLayers, drawn
+from glsplat.extras.authoring.paint.picture_layers.layers import COARSE, RIM, ShownLayers, drawn
 from glsplat.extras.authoring.paint.pixels import bilinear, grown
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums, lengths

@@ -18,7 +18,7 @@ from glsplat.extras.authoring.body.segments import HANDS, half_width, trunk_of
 from glsplat.extras.authoring.compute.threads import abreast
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.inpaint.ground import BARE, Ground
+from glsplat.extras.authoring.paint.inpaint.material import BARE, Ground
 from glsplat.extras.authoring.paint.inpaint.pattern import goes_around
 from glsplat.extras.authoring.paint.inpaint.rows import ALIKE, FEWEST, STEP, TOLERANCE, Rows, most_of, rows_of, steady
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, Sight
