@@ -60,7 +60,7 @@ def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: La
     vertices, up = front.view.vertices, front.view.root[:, 1]
     normals, still = cloth_normals(mesh, [vertices, mesh.posed(Pose.zero(len(mesh.skeleton)))])
     linear = front.sample(front.view.pixels, front.layer)
-    lamp = find_light(normals, linear, front.trust, up, np.array([0.0, 0, -1]), _DOUBTS)
+    lamp = find_light(normals, linear, front.visibility, up, np.array([0.0, 0, -1]), _DOUBTS)
     occlusion = ambient_occlusion(mesh, vertices)
     ambient = replace(lamp, strength=0.0).shade(normals)
     seen = ambient * opened(occlusion) + lamp.shade(normals) - ambient
@@ -69,7 +69,7 @@ def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: La
     seen = np.maximum(seen / full, least)
     # what nobody sees was painted as if in the other light: alike on what is seen, as bright on the whole
     guessed = painted.shade(normals)
-    trust = np.max([shot.trust for shot in shots], axis=0)
+    trust = np.max([shot.visibility for shot in shots], axis=0)
     sure = trust > _SURE
     guessed = guessed * np.exp(np.log(seen / guessed)[sure].mean() if sure.any() else -np.log(_brightest(painted)))
     shade = np.maximum(guessed + trust * (seen - guessed), least)

@@ -25,7 +25,7 @@ from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
 from glsplat.extras.authoring.optimize.surface_consistency import ready
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -72,8 +72,8 @@ class Builtin:
         captured = None if options.keep_light else aside(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(strewn.points)
         options.progress("placing splats", 0.0)
-        avatar = strewn.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
-        unseen = float(np.average(painted.seen < _HARDLY, weights=1 / strewn.density))
+        avatar = strewn.avatar(face().mesh if face else mesh, painted.rgb, painted.detail, rng)
+        unseen = float(np.average(painted.visibility < _HARDLY, weights=1 / strewn.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(
             avatar, mesh, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
@@ -96,9 +96,9 @@ class Builtin:
         mesh = shots[0].mesh
         even = even_points(mesh, _LIT)
         painter = painter_of(body, shots, even, looks)
-        unseen = float((painter.paint(even).seen < _HARDLY).mean())
+        unseen = float((painter.paint(even).visibility < _HARDLY).mean())
         options.progress("painting textures", 0.5)
-        mesh = baked(mesh, painter.colours, options.texture)
+        mesh = bake(mesh, painter.colours, options.texture)
         options.progress("painting textures", 1.0)
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_seen(shots), problem=fit.problem)
 
@@ -136,7 +136,7 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
 
 
 def _seen(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:
-    return np.asarray(np.max([shot.trust for shot in shots], axis=0))
+    return np.asarray(np.max([shot.visibility for shot in shots], axis=0))
 
 
 def _person(picture: Picture, side: str) -> DetectedPerson:

@@ -19,7 +19,7 @@ from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import scatter
@@ -98,7 +98,7 @@ def reconstruct_frames(
     thing: RiggedMesh | Avatar
     if form == "mesh":
         options.progress("baking the texture", 0.85)
-        thing = baked(mesh, fusion.colours, options.texture)
+        thing = bake(mesh, fusion.colours, options.texture)
     else:
         thing = _splats(mesh, fusion, frames, shots, options)
     options.progress("painting", 1.0)
@@ -112,7 +112,7 @@ def _splats(
     strewn = scatter(mesh, options.splats, rng)
     painted = fusion.paint(strewn.points)
     options.progress("placing splats", 0.85)
-    avatar = strewn.avatar(mesh, painted.rgb, painted.busy, rng)
+    avatar = strewn.avatar(mesh, painted.rgb, painted.detail, rng)
     some = key_views([frame.turn for frame in frames])  # all together ask for nearly the same, in gigabytes
     shots = [shots[index] for index in some]
     return fitted_to_photos(
@@ -200,4 +200,5 @@ def _problem(fit: BodyFit, used: int) -> str:
 def _unseen(mesh: RiggedMesh, fusion: Fusion) -> float:
     """Share of the skin's area that no frame shows."""
     faces = mesh.parts[0].faces
-    return float(np.average(fusion.seen[faces].mean(axis=1) < _HARDLY, weights=triangle_areas(mesh.vertices, faces)))
+    hidden = fusion.visibility[faces].mean(axis=1) < _HARDLY
+    return float(np.average(hidden, weights=triangle_areas(mesh.vertices, faces)))

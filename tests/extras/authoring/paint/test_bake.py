@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.meshes import RiggedMesh
 from tests.extras.authoring.paint.scene import photographed
@@ -54,7 +54,7 @@ def test_triangles_beyond_the_edge_and_without_area_do_no_harm() -> None:
 
 def test_the_texture_shows_the_colours() -> None:
     size = 256
-    mesh = baked(person(), by_place, size)
+    mesh = bake(person(), by_place, size)
     assert [part.name for part in mesh.parts] == ["skin", "eyes", "mouth"]
     assert mesh.parts[0].texture.shape == (size, size, 4)
     rng = np.random.default_rng(0)
@@ -71,4 +71,4 @@ def test_the_texture_shows_the_colours() -> None:
 def test_a_size_nobody_can_want() -> None:
     for size in (0, 15, 8193):
         with pytest.raises(FormatError, match="16 to 8192 texels"):
-            baked(person(), by_place, size)
+            bake(person(), by_place, size)

@@ -56,7 +56,7 @@ def test_the_picture_comes_back() -> None:
     rng = np.random.default_rng(0)
     strewn = scatter(scene.mesh, 3000, rng)
     painted = paint(scene.body, scene.shots, strewn.points)
-    avatar = strewn.avatar(scene.mesh, painted.rgb, painted.busy, rng)
+    avatar = strewn.avatar(scene.mesh, painted.rgb, painted.detail, rng)
     assert 0.99 * 3000 < len(avatar.splats) <= 3000
     assert np.isfinite(avatar.splats.means).all() and np.isfinite(avatar.splats.scales).all()
     matrix, target = _equations(avatar, scene.shots[0])

@@ -1,4 +1,4 @@
-"""What a point of the surface is most likely to be: which cloth, or skin, and how far its colours may lie apart."""
+"""The material at points of the surface: cloth or skin, its colour, and how far its colours may differ."""
 
 from __future__ import annotations
 
@@ -9,51 +9,53 @@ from numpy.typing import NDArray
 
 from glsplat.rotations import component_sums, lengths
 
-__all__ = ["BARE", "Ground"]
+__all__ = ["NECKLINE_DISTANCE", "Material"]
 
 F64 = NDArray[np.float64]
 
-_SAME = 1.0, 1.5  # tolerances of the cloth's own colour within which it is the same cloth, and beyond which it is not
-_PALM = 0.7, 1.8  # of a hand's colour, how bright its parts may be
+_SAME_TOLERANCES = 1.0, 1.5  # distances from a cloth's colour: surely the same cloth, surely another one
+_HAND_BRIGHTNESS_RANGE = 0.7, 1.8  # of a hand's parts over its colour
 
-BARE = 0.1
-"""In square roots of linear light, from the face: so near to it, a pattern above the armpits is a neckline."""
+NECKLINE_DISTANCE = 0.1
+"""From the face's colour, in square roots of linear light: nearer colours above the armpits are a neckline."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ground:
-    """What M points are most likely to be."""
+class Material:
+    """The most likely material at M points."""
 
-    colour: F64  # [M, 3] linear, without light
-    tolerance: F64  # [M] how far another colour may be away, in square roots, to be the same cloth
-    there: F64  # [M] 1 where anything is known, else 0
-    pattern: NDArray[np.bool_]  # [M] whether it has other colours besides, all around
-    skin: F64  # [M, 3] square roots of what is no part of a pattern there; not a number where nothing is
+    colour: F64  # [M, 3] linear, unlit
+    tolerance: F64  # [M] distance in square roots of linear light within which a colour is the same cloth
+    known: F64  # [M] 1 where there is a material, else 0
+    pattern: NDArray[np.bool_]  # [M] whether it has other colours besides, all around the body
+    skin: F64  # [M, 3] square roots of the colour that is no part of a pattern there; NaN without one
     hand: NDArray[np.bool_]  # [M]
 
-    def at(self, some: NDArray[np.intp]) -> Ground:
-        """Of N of the points."""
-        fields = ("colour", "tolerance", "there", "pattern", "skin", "hand")
-        return Ground(*(getattr(self, field)[some] for field in fields))
+    def at(self, some: NDArray[np.intp]) -> Material:
+        """Return the material of N of the points."""
+        fields = ("colour", "tolerance", "known", "pattern", "skin", "hand")
+        return Material(*(getattr(self, field)[some] for field in fields))
 
-    def away(self, look: F64) -> F64:
-        """[M] how far square roots of linear colours [M, 3] without light lie from it, in tolerances.
+    def distance(self, look: F64) -> F64:
+        """Return [M] distances of square roots of unlit linear colours [M, 3] from its colour, in tolerances.
 
-        A hand's brightness says nothing: palms, nails and backs of hands are of different ones.
+        A hand's brightness is ignored: palms, nails and backs of hands differ.
         """
-        own = np.sqrt(self.colour)
-        scale = component_sums(look * own) / np.maximum(component_sums(own**2), 1e-9)
-        own[self.hand] *= scale.clip(*_PALM)[self.hand, None]
-        return np.asarray(lengths(look - own) / self.tolerance)
+        expected = np.sqrt(self.colour)
+        scale = component_sums(look * expected) / np.maximum(component_sums(expected**2), 1e-9)
+        expected[self.hand] *= scale.clip(*_HAND_BRIGHTNESS_RANGE)[self.hand, None]
+        return np.asarray(lengths(look - expected) / self.tolerance)
 
-    def alike(self, plain: F64, patterned: bool = True) -> F64:
-        """[M] from 0 to 1: how surely linear colours [M, 3] without light are the cloth that is there.
+    def likeness(self, plain: F64, patterned: bool = True) -> F64:
+        """Return [M] from 0 to 1: how surely unlit linear colours [M, 3] are this material.
 
-        With ``patterned`` those of its pattern are, too.
+        With ``patterned``, colours of its pattern are, too.
         """
         look = np.sqrt(np.maximum(plain, 0))
-        away = self.away(look)
-        sure = (_SAME[1] - away).clip(0, _SAME[1] - _SAME[0]) / (_SAME[1] - _SAME[0])
+        distance = self.distance(look)
+        sure = (_SAME_TOLERANCES[1] - distance).clip(0, _SAME_TOLERANCES[1] - _SAME_TOLERANCES[0]) / (
+            _SAME_TOLERANCES[1] - _SAME_TOLERANCES[0]
+        )
         if patterned:
-            sure[self.pattern & ~(lengths(look - self.skin) < BARE)] = 1.0
-        return np.where(self.there > 0, sure, 1.0)
+            sure[self.pattern & ~(lengths(look - self.skin) < NECKLINE_DISTANCE)] = 1.0
+        return np.where(self.known > 0, sure, 1.0)

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.extras.authoring.body.segments import layer_of, segments_of, twins_across
 from glsplat.extras.authoring.paint.painter import paint
-from glsplat.extras.authoring.paint.picture_layers.fill import continued, only_in_the_middle
+from glsplat.extras.authoring.paint.picture_layers.fill import centre_prints, fill_hole
 from glsplat.extras.authoring.paint.picture_layers.labels import NOTHING, labels_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import even_points
@@ -86,7 +86,7 @@ def test_what_an_arm_hid_is_continued_across() -> None:
     hole[40:160, 50:70] = True
     spoilt = stripes.copy()
     spoilt[hole] = 1.0
-    filled = continued(spoilt.astype(np.float32), ~hole, hole, 200.0)
+    filled = fill_hole(spoilt.astype(np.float32), ~hole, hole, 200.0)
     assert np.array_equal(filled[~hole], spoilt[~hole].astype(np.float32))
     middle = filled[50:150:20, 55:65].mean(axis=(1, 2)), stripes[50:150:20, 55:65].mean(axis=(1, 2))
     assert np.abs(middle[0] - middle[1]).max() < 0.1
@@ -98,7 +98,7 @@ def test_prints_are_in_the_middle_alone_and_stripes_are_not() -> None:
     cloth = np.full((160, 120, 3), 0.3, np.float32)
     cloth[60:66] = 0.02
     cloth[80:110, 45:75] = (0.8, 0.05, 0.05)
-    found = only_in_the_middle(cloth, at, np.isfinite(at[..., 0]))
+    found = centre_prints(cloth, at, np.isfinite(at[..., 0]))
     assert found[80:110, 45:75].all()
     assert not found[:76].any() and not found[:, :40].any()
 
@@ -117,7 +117,7 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     plain, layered = (paint(scene.body, [each], points) for each in (front, shot))
     close = layer_of(segment)[points.corners[:, 0]] == 0
     assert np.median(np.abs(plain.rgb - layered.rgb)[close]) < 0.01  # arms are away: nothing changes
-    label = shot.parts.label.copy()
+    label = shot.picture_layers.label.copy()
     pixels = front.view.pixels[scene.body.part == 3]
     left, right = np.quantile(pixels[:, 0], [0.4, 0.6]).astype(int)
     top, bottom = np.quantile(pixels[:, 1], [0.2, 0.8]).astype(int)
@@ -125,15 +125,15 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     rgb[top:bottom, left:right] = GREEN
     label[top:bottom, left:right] = 1
     hidden = replace(shot, rgb=rgb)
-    hidden.parts.__dict__["label"] = label
+    hidden.picture_layers.__dict__["label"] = label
     painted = paint(scene.body, [hidden], points).rgb
     greenness = (painted[:, 1] - painted[:, [0, 2]].max(axis=1))[close]
     printed = paint(scene.body, [replace(front, rgb=rgb)], points).rgb
     assert (printed[:, 1] - printed[:, [0, 2]].max(axis=1))[close].max() > 0.3
     assert greenness.max() < 0.1
-    assert not hidden.parts.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
+    assert not hidden.picture_layers.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
 
 
 def test_another_body_keeps_one_layer() -> None:
     front = photographed("front").shots[0]
-    assert not front.layer.any() and front.parts.agreed is front.mask
+    assert not front.layer.any() and front.picture_layers.agreed is front.mask
