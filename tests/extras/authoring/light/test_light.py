@@ -12,7 +12,7 @@ from glsplat.extras.authoring.geometry.attribute_transfer import surface_carried
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
 from glsplat.extras.authoring.light.captured_light import CapturedLight, with_captured_light
 from glsplat.extras.authoring.light.cloth_normals import cloth_normals
-from glsplat.extras.authoring.light.surfaces import nearest_open, with_surface
+from glsplat.extras.authoring.light.surfaces import locate_splats, with_surface
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -52,8 +52,8 @@ def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
     near = rigged(ball(0.3), ball(0.296, name="inside"))  # as the inside of a cheek
     splats = on_the_vertices(near, outer).splats
     deep = replace(splats, means=(splats.means - (0, 1, 0)) * 0.992 + (0, 1, 0))
-    assert nearest_open(near, deep, occlusion).at(occlusion).min() > 0.8
-    assert nearest_open(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
+    assert locate_splats(near, deep, occlusion).at(occlusion).min() > 0.8
+    assert locate_splats(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
 
 
 def test_of_cloth_folded_over_itself_the_outer_side_is_taken() -> None:
@@ -61,7 +61,7 @@ def test_of_cloth_folded_over_itself_the_outer_side_is_taken() -> None:
     outer = len(ball(0.3)[0])
     half_open = np.repeat([0.7, 0.25], outer)
     splats = on_the_vertices(near, 2 * outer).splats
-    assert nearest_open(near, splats, half_open).at(half_open).min() > 0.65
+    assert locate_splats(near, splats, half_open).at(half_open).min() > 0.65
 
 
 def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
