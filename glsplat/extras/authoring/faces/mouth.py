@@ -18,7 +18,7 @@ from glsplat.extras.authoring.faces.tiles import Tiles, tiled
 from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.extras.authoring.sample.cells import SamplerConfig
-from glsplat.extras.authoring.sample.surface import FEWEST, make_avatar
+from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
@@ -78,7 +78,7 @@ def with_teeth(avatar: Avatar, mesh: RiggedMesh, count: int, photographed: int, 
     teeth = next(one for one in furnished.parts if one.name == "teeth")
     light = _light(avatar, mesh)
     whole = added(shaded, furnished, _rows(furnished, teeth, light))
-    left = max(count - (len(whole.splats) - len(avatar.splats)), FEWEST)
+    left = max(count - (len(whole.splats) - len(avatar.splats)), MIN_SPLATS)
     one, other, third = (furnished.vertices[teeth.faces[:, k]] for k in range(3))
     facing = np.cross(other - one, third - one)
     seen = ~_enamel() & (facing[:, 2] > _AHEAD * np.linalg.norm(facing, axis=1))
