@@ -81,7 +81,7 @@ class Builtin:
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
-            avatar = with_face(avatar, face(), options.splats, options.seed, seen=bool(looks))
+            avatar = with_face(avatar, face(), options.splats, options.seed, eyes_visible=bool(looks))
         if captured is not None and loaded is not None:
             options.progress("finding the light", 0.0)
             loaded()

@@ -124,7 +124,7 @@ def test_lips_shade_what_is_behind_their_rims_and_go_with_them() -> None:
 def test_where_no_eye_is_seen_what_the_photograph_has_there_stays() -> None:
     avatar = bare()
     count = len(avatar.splats)
-    made = with_face(avatar, face(), count + FACE_SPLATS, seen=False)
+    made = with_face(avatar, face(), count + FACE_SPLATS, eyes_visible=False)
     balls = np.stack([eye.ball.centre for eye in face().eyes])
     about = (np.linalg.norm(avatar.splats.means[:, None] - balls, axis=2) < 0.034).any(axis=1)
     assert about.sum() > 100 and np.array_equal(made.splats.sh[:count][about], avatar.splats.sh[about])
