@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.visibility import EYES
+from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import strongest_joint
@@ -111,16 +112,16 @@ def eye_texture(iris: str, radius: float, seed: int = 0, bright: float = 1.0) ->
     at = polar / rim * np.ones((1, _TEXTURE_PX))  # 1 at the iris's edge
     inner, outer = (np.array(colour, np.float64) for colour in IRIS_COLOURS[iris])
     fibres = _ripples(rng, _TEXTURE_PX) * np.clip((at - _PUPIL_FRACTION) * 4, 0, 1)
-    mix = _smoothstep(at, 0.42 + 0.10 * _ripples(rng, _TEXTURE_PX), 0.72)
+    mix = smoothstep(at, 0.42 + 0.10 * _ripples(rng, _TEXTURE_PX), 0.72)
     colour = inner * (1 - mix[..., None]) + outer * mix[..., None]
     colour = colour * (1 + 0.22 * fibres[..., None])
-    colour = colour * (1 - 0.72 * _smoothstep(at, 0.80, 0.97))[..., None]  # the limbal ring
-    shaded = _smoothstep(polar * np.ones_like(at), np.radians(38), np.radians(75))[..., None]
+    colour = colour * (1 - 0.72 * smoothstep(at, 0.80, 0.97))[..., None]  # the limbal ring
+    shaded = smoothstep(polar * np.ones_like(at), np.radians(38), np.radians(75))[..., None]
     white = _WHITE_RGB + (_SHADED_WHITE_RGB - _WHITE_RGB) * shaded
-    white = bright * white * (1 - 0.30 * (1 - _smoothstep(at, 1.0, 1.14)))[..., None]
-    edge = _smoothstep(at, 0.97, 1.06)[..., None]
+    white = bright * white * (1 - 0.30 * (1 - smoothstep(at, 1.0, 1.14)))[..., None]
+    edge = smoothstep(at, 0.97, 1.06)[..., None]
     colour = colour * (1 - edge) + white * edge
-    colour = colour * _smoothstep(at, _PUPIL_FRACTION * 0.92, _PUPIL_FRACTION * 1.08)[..., None] + 6
+    colour = colour * smoothstep(at, _PUPIL_FRACTION * 0.92, _PUPIL_FRACTION * 1.08)[..., None] + 6
     texture = np.full((_TEXTURE_PX, _TEXTURE_PX, 4), 255, np.uint8)
     texture[..., :3] = np.clip(np.rint(colour), 0, 255)
     return texture
@@ -131,8 +132,3 @@ def _ripples(rng: np.random.Generator, count: int) -> F64:
     turn = np.arange(count) / count * 2 * np.pi
     waves = rng.integers(9, 70, 24)
     return np.asarray(np.cos(waves[:, None] * turn + rng.uniform(0, 7, (24, 1))).sum(axis=0) / np.sqrt(48))
-
-
-def _smoothstep(value: F64, low: float | F64, high: float) -> F64:
-    part = np.clip((value - low) / (high - low), 0, 1)
-    return np.asarray(part * part * (3 - 2 * part))

@@ -29,6 +29,7 @@ from glsplat.extras.authoring.faces.lashes_and_hair import (
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -209,8 +210,7 @@ def _fold_away(lid: Avatar, face: RiggedMesh, eye: Opening, where: tuple[F64, In
 
 def _lid_opacity(offsets: F64, edges: LidEdges) -> F64:
     """Return [N] a lid's opacity at ``offsets`` [N, 3] from the eye's middle: 1 at the opening, 0 well beyond."""
-    part = ((_MAX_BEYOND_RAD - edges.beyond(offsets)) / (_MAX_BEYOND_RAD - _OPAQUE_RAD)).clip(0, 1)
-    return np.asarray(part * part * (3 - 2 * part))
+    return smoothstep(edges.beyond(offsets), _MAX_BEYOND_RAD, _OPAQUE_RAD)
 
 
 def _long_axes(splats: Splats) -> F64:

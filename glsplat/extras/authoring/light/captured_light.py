@@ -33,7 +33,7 @@ __all__ = ["CapturedLight", "captured_light", "with_captured_light"]
 
 F64 = NDArray[np.float64]
 
-# of lamp direction (tangents) and log strength; wide, since faces may be lit from the side
+# of the lamp's direction (tangents) and log strength; wide, since faces may be lit from the side
 _LAMP_SIGMAS = 1.5, 0.7
 _MIN_SHADE_FRACTION = 0.3  # of the brightest; darker parts of photographs are noise, which division would amplify
 _MAX_ALBEDO = 0.85  # of white cloth and paper, which photographs show as white

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.compute.threads import abreast
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
+from glsplat.extras.authoring.paint.picture_layers.fill import nearest_known
 from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.meshes import MeshPart, RiggedMesh
 
@@ -45,11 +45,8 @@ def bake(mesh: RiggedMesh, colours: Colours, size: int = 2048) -> RiggedMesh:
         elif area == max(areas):
             parts.append(_bake_part(part, part.uv, (size, size), colours))
         else:
-            parts.append(
-                _bake_part(
-                    part, *_fill_texture(part.uv, max(size // _SMALL_PART_DIVISOR, TEXTURE_SIZES_PX[0])), colours
-                )
-            )
+            small = max(size // _SMALL_PART_DIVISOR, TEXTURE_SIZES_PX[0])
+            parts.append(_bake_part(part, *_fill_texture(part.uv, small), colours))
     return replace(mesh, parts=tuple(parts))
 
 
@@ -57,7 +54,7 @@ def _bake_part(part: MeshPart, uv: F64, size: tuple[int, int], colours: Colours)
     """Return the part with a texture of ``size`` texels (width, height)."""
     width, height = size
     texels = texels_of(uv, width, height)
-    texture = np.zeros((height * width, 3), np.uint8)
+    texture = np.full((height * width, 3), 255, np.uint8)
     corners = part.faces.astype(np.intp)
 
     def paint_chunk(some: slice) -> None:
@@ -65,21 +62,10 @@ def _bake_part(part: MeshPart, uv: F64, size: tuple[int, int], colours: Colours)
         texture[texels.index[some]] = np.rint(np.clip(rgb, 0, 1) * 255)
 
     abreast(paint_chunk, [slice(first, first + _CHUNK_TEXELS) for first in range(0, len(texels.index), _CHUNK_TEXELS)])
-    painted = np.zeros(height * width, np.uint8)
-    painted[texels.index] = 1
-    extended = _extend_colours(texture.reshape(height, width, 3), painted.reshape(height, width))
+    painted = np.zeros((height, width), bool)
+    painted.flat[texels.index] = True
+    extended = texture.reshape(height, width, 3)[nearest_known(painted)]
     return MeshPart(part.name, part.faces, uv, np.dstack([extended, np.full((height, width), 255, np.uint8)]))
-
-
-def _extend_colours(texture: NDArray[np.uint8], painted: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the texture with every unpainted texel in the colour of the nearest painted one."""
-    if not painted.any():
-        return np.full_like(texture, 255)
-    _, label = cv2.distanceTransformWithLabels(1 - painted, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    source = np.zeros(int(label.max()) + 1, np.intp)
-    sources = np.flatnonzero(painted)
-    source[label.ravel()[sources]] = sources
-    return texture.reshape(-1, 3)[source[label]]
 
 
 def _fill_texture(uv: F64, size: int) -> tuple[F64, tuple[int, int]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook, eyeball, iris_angle
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 
 __all__ = ["eye_colours"]
@@ -51,11 +52,7 @@ def eye_colours(
 def _without_lids(look: EyeLook) -> tuple[F64, F64]:
     """Return the colours [3] of iris and white, of 255, with less of the lids that a small eye's pixels mix in."""
     clear = (
-        0.0
-        if not np.isfinite(look.radius)
-        else float(
-            np.clip((look.radius - _MIXED_IRIS_RADIUS_PX) / (_CLEAR_IRIS_RADIUS_PX - _MIXED_IRIS_RADIUS_PX), 0, 1)
-        )
+        0.0 if not np.isfinite(look.radius) else float(ramp(look.radius, _MIXED_IRIS_RADIUS_PX, _CLEAR_IRIS_RADIUS_PX))
     )
     grey = float(look.white_colour.mean())
     white = max(grey, _MIN_WHITE) * _SCLERA_TINT

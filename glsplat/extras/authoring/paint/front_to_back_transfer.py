@@ -16,6 +16,7 @@ from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.body.segments import half_width
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
@@ -75,10 +76,8 @@ def _sample_matches(shot: FittedPicture, points: SurfacePoints, match: SurfacePo
     """Return [M, 9] colours, normals, visibility, detail, and whether the picture shows them."""
     layer = shot.layers_at(points)
     own = (shot.layer[match.corners[:, 0]] == shot.layer)[:, None]  # arms in front of a trunk do not colour its back
-    vertices = np.hstack(
-        [match.at(shot.view.pixels), match.directions(shot.normals), match.at(shot.visible[:, None]) * own]
-    )
-    there = points.at(vertices)
+    visible = match.at(shot.visible[:, None]) * own
+    there = points.at(np.hstack([match.at(shot.view.pixels), match.directions(shot.normals), visible]))
     pixels = there[:, :2]
     colours = shot.sample(pixels, layer)
     if not striped:
@@ -102,9 +101,8 @@ class Front:
     def points(self, places: F64) -> SurfacePoints:
         """Return [V] the visible surface at places [V, 3], one for each vertex; the vertex itself where none is."""
         at = places @ self._camera.viewmat[:3, :3].T + self._camera.viewmat[:3, 3]
-        pixel = (
-            np.floor(at[:, :2] / at[:, 2:] * self._focal + _VIEW_SIZE_PX / 2).astype(np.intp).clip(0, _VIEW_SIZE_PX - 1)
-        )
+        pixel = np.floor(at[:, :2] / at[:, 2:] * self._focal + _VIEW_SIZE_PX / 2).astype(np.intp)
+        pixel = pixel.clip(0, _VIEW_SIZE_PX - 1)
         face = self._ids[pixel[:, 1], pixel[:, 0]]
         own_vertex = np.repeat(np.arange(len(places))[:, None], 3, axis=1)
         corners = np.where(face[:, None] >= 0, self._mesh.faces[np.maximum(face, 0)], own_vertex)
@@ -115,9 +113,8 @@ def match_to_front(mesh: RiggedMesh, trunk: NDArray[np.bool_], front: Front | No
     """Return the matches of all vertices of a body in the zero pose; ``trunk`` [V] is chest, belly and hips."""
     vertices, front = mesh.vertices, front or Front(mesh)
     half = half_width(vertices, trunk)
-    even = np.full(
-        len(half), np.median(half[trunk]) if trunk.any() else 0.0
-    )  # straight stripes stay straight on the back
+    # one width for all heights, so that straight stripes stay straight on the back
+    even = np.full(len(half), np.median(half[trunk]) if trunk.any() else 0.0)
     sides = []
     for skipped, width in ((_SKIPPED_FRACTION, half), (_skipped_fraction(mesh), even)):
         for sign in (1.0, -1.0):
@@ -133,5 +130,6 @@ def _skipped_fraction(mesh: RiggedMesh) -> F64:
     """Return [V] the fraction of the half width left out of a pattern at each vertex's height."""
     shoulders = [JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")]
     above = mesh.vertices[:, 1] - mesh.skeleton.joints[shoulders, 1].mean()
-    share = ((above - _COLLAR_M[0]) / (_COLLAR_M[1] - _COLLAR_M[0])).clip(0, 1)
-    return np.asarray(_SKIPPED_PATTERN_FRACTION + share * (_SKIPPED_FRACTION - _SKIPPED_PATTERN_FRACTION))
+    return np.asarray(
+        _SKIPPED_PATTERN_FRACTION + ramp(above, *_COLLAR_M) * (_SKIPPED_FRACTION - _SKIPPED_PATTERN_FRACTION)
+    )

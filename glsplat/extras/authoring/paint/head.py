@@ -37,6 +37,8 @@ _SIMILAR_FRACTION = 0.5  # of the distance from hair to skin or cloth: nearer co
 _LONG_HAIR_HALF_WIDTH_M = 0.17
 _MIN_VERTICES = 4
 _MIN_LONG_HAIR_FRACTION, _MIN_OUTLINE_HAIR_FRACTION = 0.15, 0.6  # of a row's vertices
+_BEHIND_JOINT_M = 0.02  # before the joints of head and neck: surface farther back is never visible
+_CAP_M = 0.05  # of the crown that the front does not show
 _CROWN_TO_CENTRE_M = 0.09  # from the crown down to the middle of the head's round part
 # the box of an ear in the zero pose and mean shape: |x| at least, y and z between
 _EAR_MIN_X_M, _EAR_Y_M, _EAR_Z_M = 0.055, (0.825, 0.9), (0.028, 0.078)
@@ -83,39 +85,36 @@ def back_of_head(
     count = len(rest)
     joints = shot.mesh.skeleton.joints
     middle = joints[JOINT_NAMES.index("head")]
-    ear, nape = middle[2] + 0.02, joints[JOINT_NAMES.index("neck"), 2] + 0.02
+    ear, nape = middle[2] + _BEHIND_JOINT_M, joints[JOINT_NAMES.index("neck"), 2] + _BEHIND_JOINT_M
     head, neck = _vertices_of(body, "head", "jaw") & body.skin, _vertices_of(body, "neck")
     low, top = rest[head, 1].min(), rest[head, 1].max()
+    nape_height = low + _NAPE_FRACTION * (top - low)
     unlit = shot.sample(shot.view.pixels, shot.layer) / light.shade(shot.normals)[:, None]
     # perceptual, and independent of the light, so that hair ends at the same place
     look = np.sqrt(shot.sample(shot.view.pixels, shot.layer) / _diffuse_light(shot).shade(shot.normals)[:, None])
     visible = shot.visibility > _MIN_VISIBILITY
     highest = rest[head & visible, 1].max(initial=low)  # a fitted skull may reach over the person's own
     crown = head & (rest[:, 1] > highest - _CROWN_FRACTION * (top - low)) & visible
-    throat, face = (
-        neck & (shot.visibility > _MIN_CLEAR_VISIBILITY),
-        head & face_of(body) & (shot.visibility > _MIN_CLEAR_VISIBILITY),
-    )
+    clear = shot.visibility > _MIN_CLEAR_VISIBILITY
+    throat, face, chest = neck & clear, head & face_of(body) & clear, trunk_of(body) & clear
     if not crown.any() or not throat.any() or not face.any():
         return BackOfHead(rest, np.zeros(count), np.zeros(count), np.zeros((count, 3)), None)
     hair, skin = np.median(look[crown], axis=0), np.median(look[face], axis=0)
     nearer_skin = _distance(look, hair) > _distance(look, skin)
     unlike_skin = _distance(look, skin) > _SKIN_FRACTION * _distance(hair, skin)  # hair below a hat is not like the hat
-    chest = trunk_of(body) & (shot.visibility > _MIN_CLEAR_VISIBILITY)
     cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)  # no cloth: nothing is similar
     unlike_cloth = ~(_distance(look, hair) > _HAIR_TO_CLOTH_RATIO * _distance(look, cloth))
-    beside = (rest[:, 2] < ear + 0.02) & visible
-    hair_end = _hair_end(rest, head | neck, beside, unlike_skin, unlike_cloth, low + _NAPE_FRACTION * (top - low))
+    beside = (rest[:, 2] < ear + _BLEND_M) & visible
+    hair_end = _hair_end(rest, head | neck, beside, unlike_skin, unlike_cloth, nape_height)
     # colours beside a face that are not skin go all around it: hair, and a hat above it
     worn = (head | neck) & ~face_of(body) & visible & (_distance(look, skin) > _WORN_FRACTION * _distance(hair, skin))
     worn &= rest[:, 1] > hair_end - _ROW_M
     shaded = (look @ skin / (skin @ skin)).clip(*_SHADED_SKIN_RANGE)[:, None] * skin
     worn &= ~(_distance(look, shaded) < _SIMILAR_FRACTION * _distance(look, hair))  # shaded ears and jaws are skin
     for other in (cloth, _background(shot, head)):  # collars and walls are not hair
-        worn &= ~(
-            _distance(look, other) < np.minimum(_distance(look, hair), _SIMILAR_FRACTION * _distance(hair, other))
-        )
-    below_hat = worn & (rest[:, 1] < low + _NAPE_FRACTION * (top - low))
+        nearest = np.minimum(_distance(look, hair), _SIMILAR_FRACTION * _distance(hair, other))
+        worn &= ~(_distance(look, other) < nearest)
+    below_hat = worn & (rest[:, 1] < nape_height)
     fallen_colour = np.median(unlit[worn], axis=0) if worn.any() else hair**2
     if below_hat.sum() > _MIN_VERTICES:
         hair, fallen_colour = np.median(look[below_hat], axis=0), np.median(unlit[below_hat], axis=0)
@@ -123,23 +122,19 @@ def back_of_head(
     if worn.any() and locks:
         trust = shot.visibility * worn
         around[head | neck] = fill_smoothly(body, trust, trust[:, None] * unlit, True, some=head | neck)
-    above = ((rest[:, 1] - hair_end) / _BLEND_M).clip(0, 1)
+    above = _ramp(rest[:, 1] - hair_end)
     neck_behind = _ramp(nape - rest[:, 2]) * neck
     behind = _ramp(ear - rest[:, 2]) * head + neck_behind * (above if nape_colour is not None else 1.0)
     beside_face = above * (head & ~face_of(body))  # unseen surface beside a face is hair, not a mix with skin
-    covered = np.maximum.reduce([behind, _ramp(rest[:, 1] - top + 0.05) * head, beside_face])
+    covered = np.maximum.reduce([behind, _ramp(rest[:, 1] - top + _CAP_M) * head, beside_face])
     below = np.median(unlit[throat], axis=0) if nape_colour is None else nape_colour
     colour = above[:, None] * around + (1 - above[:, None]) * below
-    hair_on_back = (
-        _long_hair_on_back(body, shot, look, hair, skin, hair_end, nape)
-        if hair_end < rest[neck, 1].min() + 2 * _ROW_M
-        else 0 * above
-    )
+    hair_on_back = np.zeros(count)
+    if hair_end < rest[neck, 1].min() + 2 * _ROW_M:
+        hair_on_back = _long_hair_on_back(body, shot, look, hair, skin, hair_end, nape)
     if below_hat.sum() > _MIN_VERTICES:  # falling hair has no colour of the hat above it
-        share = (
-            _ramp(low + _NAPE_FRACTION * (top - low) - rest[:, 1])[:, None] * (head | neck)[:, None] * above[:, None]
-        )
-        colour += share * (fallen_colour - colour)
+        share = _ramp(nape_height - rest[:, 1]) * (head | neck) * above
+        colour += share[:, None] * (fallen_colour - colour)
     colour = np.where((hair_on_back > 0)[:, None], fallen_colour, colour)
     covered, hair_share = np.maximum(covered, hair_on_back), np.maximum(above * (head | neck), hair_on_back)
     for ears in ears_of(body):
@@ -185,8 +180,7 @@ def _long_hair_on_back(
         lowest -= _ROW_M
     if lowest == hair_end:
         return out
-    fallen_colour = mine & (rest[:, 1] > lowest)
-    wide = float(np.quantile(np.abs(rest[fallen_colour, 0]), 0.9))
+    wide = float(np.quantile(np.abs(rest[mine & (rest[:, 1] > lowest), 0]), 0.9))
     back = _ramp(nape - rest[:, 2]) * trunk
     return np.asarray(back * _ramp(rest[:, 1] - lowest) * _ramp(wide - np.abs(rest[:, 0])))
 
@@ -236,9 +230,7 @@ def _hair_end(
         ring = part & (rest[:, 1] >= lowest - 2 * _ROW_M) & (rest[:, 1] < lowest)
         row, wide = ring & beside, float(aside[ring].max(initial=0.0))
         row &= aside > _OUTLINE_FRACTION * aside[row].max(initial=0.0)
-        if (
-            row.sum() < _MIN_VERTICES
-            or (hair & (unlike_cloth | (wide > _NECK_HALF_WIDTH_M)))[row].mean() < _MIN_OUTLINE_HAIR_FRACTION
-        ):
+        hairy = hair & (unlike_cloth | (wide > _NECK_HALF_WIDTH_M))
+        if row.sum() < _MIN_VERTICES or hairy[row].mean() < _MIN_OUTLINE_HAIR_FRACTION:
             return lowest
         lowest -= _ROW_M

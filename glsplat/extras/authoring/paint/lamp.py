@@ -23,7 +23,7 @@ _FLOOR_FRACTION, _CEILING_FRACTION = 0.7, 1.3  # ambient light from below and fr
 _WRAP = 0.15  # of a cosine: the lamp reaches this far beyond the terminator
 _USUAL_DIRECTION = np.array([0.3, 0.7, 0.65])  # left, up, towards the camera
 _USUAL_LOG_STRENGTH = np.log(1.4)  # of the lamp, over the ambient light
-_DIRECTION_SIGMA, _LOG_STRENGTH_SIGMA = 0.45, 0.35  # of the prior; the direction's in tangents
+_PRIOR_SIGMAS = 0.45, 0.35  # of the lamp's direction (tangents) and log strength
 _MATERIALS = 8  # separated by chromaticity
 _MAX_POINTS, _MIN_POINTS = 3000, 100
 _MIN_VISIBILITY = 0.3
@@ -51,12 +51,13 @@ def find_light(
     trust: F64,
     up: F64,
     towards: F64,
-    prior_sigmas: tuple[float, float] = (_DIRECTION_SIGMA, _LOG_STRENGTH_SIGMA),  # of direction and log strength
+    prior_sigmas: tuple[float, float] = _PRIOR_SIGMAS,
 ) -> Lamp:
     """Return the light that explains visible points: unit ``normals`` [M, 3], ``linear`` colours [M, 3], ``trust`` [M].
 
     ``up`` [3] and ``towards`` [3] (from the person to the camera) are unit vectors in the same axes. Without enough
-    points it is the usual light, from above and ahead.
+    points it is the usual light, from above and ahead. ``prior_sigmas`` are of
+    the direction (tangents) and of the log strength.
     """
     some = np.flatnonzero(trust > _MIN_VISIBILITY)
     some = some[:: max(1, len(some) // _MAX_POINTS)]
@@ -83,9 +84,7 @@ def find_light(
         albedo = np.bincount(material, brightness - shade, minlength=_MATERIALS) / count
         residual = (brightness - shade - albedo[material]) / _TEXTURE_SIGMA
         residual /= np.sqrt(1 + (residual / 2) ** 2)  # robust to prints on cloth
-        prior = np.array(
-            [x[0] / prior_sigmas[0], x[1] / prior_sigmas[0], (x[2] - _USUAL_LOG_STRENGTH) / prior_sigmas[1]]
-        )
+        prior = (x - start) / np.array(prior_sigmas)[[0, 0, 1]]
         return np.concatenate([residual * np.sqrt(_DATA_WEIGHT / len(residual)), prior])
 
     def rows(x: F64, derive: bool) -> tuple[F64, F64]:

@@ -72,9 +72,8 @@ class EyesAndMouth:
         ahead = points.at(self.body.vertices[:, 2:])
         up = points.directions(self.normals)[:, 1:2]
         light = _TONGUE_BACK_LIGHT + (1 - _TONGUE_BACK_LIGHT) * ((ahead - back) / max(front - back, 1e-9)) ** 1.5
-        return np.asarray(
-            _TONGUE_RGB * light * (_TONGUE_UNDERSIDE_LIGHT + (1 - _TONGUE_UNDERSIDE_LIGHT) * (0.5 + 0.5 * up))
-        )
+        shade = _TONGUE_UNDERSIDE_LIGHT + (1 - _TONGUE_UNDERSIDE_LIGHT) * (0.5 + 0.5 * up)
+        return np.asarray(_TONGUE_RGB * light * shade)
 
 
 def eyes_and_mouth_of(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook]) -> EyesAndMouth:

@@ -101,14 +101,8 @@ def fusion_of(
     visibility = np.max(clear, axis=1)
     total = weight.sum(axis=1)
     shares = weight * (visibility / np.maximum(total, 1e-12))[:, None]
-    return Fusion(
-        body,
-        shots,
-        eyes_and_mouth_of(body, shots[0], looks or {}),
-        shares,
-        visibility,
-        _fill_unseen(body, shots, shares, visibility),
-    )
+    inside, filled = eyes_and_mouth_of(body, shots[0], looks or {}), _fill_unseen(body, shots, shares, visibility)
+    return Fusion(body, shots, inside, shares, visibility, filled)
 
 
 def _fill_unseen(body: Body, shots: Sequence[FittedPicture], shares: F64, visibility: F64) -> F64:

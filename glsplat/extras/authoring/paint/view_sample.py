@@ -17,6 +17,7 @@ from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.picture_layers.fill import centre_prints, disc, fill_hole
 from glsplat.extras.authoring.paint.picture_layers.layers import COARSE, RIM_PX, PictureLayers, rasterize
 from glsplat.extras.authoring.paint.pixels import bilinear, upscale_labels
+from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums, lengths
 
@@ -108,9 +109,9 @@ class FittedPicture:
     @found_once
     def visibility(self) -> F64:
         """[V] visibility of the vertices."""
-        return self.shows_layer(self.view.pixels, self.layer) * self._facing(
-            self.view.vertices, self.normals, self.view.pixels, self.layer, *_VISIBILITY_COSINES
-        )
+        pixels, layer = self.view.pixels, self.layer
+        facing = self._facing(self.view.vertices, self.normals, pixels, layer, *_VISIBILITY_COSINES)
+        return self.shows_layer(pixels, layer) * facing
 
     @found_once
     def squareness(self) -> F64:
@@ -122,13 +123,9 @@ class FittedPicture:
     def visible(self) -> F64:
         """[V] 1 on or before the outline where no surface of its layer hides a vertex and its colour is near."""
         visible = self._facing(self.view.vertices, self.normals, self.view.pixels, self.layer, *_BACKFACE_COSINES)
-        far = (
-            self._nearest_pixel(
-                [layer_view.far for layer_view in self.picture_layers.layers], self.view.pixels, self.layer
-            )
-            / self.picture_layers.height
-        )
-        return np.asarray(visible * (1 - (far - _MAX_COLOUR_REACH_FRACTION) / _MAX_COLOUR_REACH_FRACTION).clip(0, 1))
+        reaches = [each.far for each in self.picture_layers.layers]
+        reach = self._nearest_pixel(reaches, self.view.pixels, self.layer) / self.picture_layers.height
+        return np.asarray(visible * (1 - ramp(reach, _MAX_COLOUR_REACH_FRACTION, 2 * _MAX_COLOUR_REACH_FRACTION)))
 
     def sample_surface(self, points: SurfacePoints) -> ViewSample:
         """Return the colours of the points."""
@@ -136,9 +133,8 @@ class FittedPicture:
         pixels = self.project(where)
         layer = self.layers_at(points)
         visibility = self._facing(where, points.directions(self.normals), pixels, layer, *_VISIBILITY_COSINES)
-        return ViewSample(
-            self.sample(pixels, layer), visibility * self.shows_layer(pixels, layer), self.detail(pixels, layer)
-        )
+        visibility *= self.shows_layer(pixels, layer)
+        return ViewSample(self.sample(pixels, layer), visibility, self.detail(pixels, layer))
 
     def sample(self, pixels: F64, layer: NDArray[np.intp] | None = None, without_prints: bool = False) -> F64:
         """Return [M, 3] linear light at pixels [M, 2], bilinear; outside a layer, that of its nearest pixel.
@@ -146,13 +142,12 @@ class FittedPicture:
         ``layer`` [M]; None for the trunk's. ``without_prints`` removes prints in the middle of the trunk's cloth.
         """
         out = np.zeros((len(pixels), 3))
-        for number, layer_view in enumerate(self.picture_layers.layers):
+        for number, each in enumerate(self.picture_layers.layers):
             mine = slice(None) if layer is None else np.flatnonzero(layer == number)
             if (layer is None and number) or not len(pixels[mine]):
                 continue
-            out[mine] = bilinear(
-                self._without_prints if without_prints and not number else layer_view.picture, pixels[mine]
-            )
+            picture = self._without_prints if without_prints and not number else each.picture
+            out[mine] = bilinear(picture, pixels[mine])
         return out
 
     def detail(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
@@ -161,10 +156,8 @@ class FittedPicture:
 
     def background(self, pixels: F64) -> F64:
         """Return [M, 3] linear colours of the background nearest to pixels [M, 2]."""
-        return np.asarray(
-            self.picture_layers.background[1][self._scaled_pixels(pixels, self.picture_layers.background[0])],
-            np.float64,
-        )
+        scale, colours = self.picture_layers.background
+        return np.asarray(colours[self._scaled_pixels(pixels, scale)], np.float64)
 
     def outline_distance(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
         """Return [M] distances of pixels [M, 2] to their layer's outline, over the person's height."""
@@ -192,10 +185,8 @@ class FittedPicture:
 
     def shows_layer(self, pixels: F64, layer: NDArray[np.intp]) -> F64:
         """Return [M] 1 where a pixel shows the layer, else 0."""
-        return np.asarray(
-            self._nearest_pixel([layer_view.known for layer_view in self.picture_layers.layers], pixels, layer),
-            np.float64,
-        )
+        known = [each.known for each in self.picture_layers.layers]
+        return np.asarray(self._nearest_pixel(known, pixels, layer), np.float64)
 
     def _nearest_pixel(
         self, pictures: list[NDArray[np.float32]], pixels: F64, layer: NDArray[np.intp] | None, coarse: int = 1
@@ -217,12 +208,9 @@ class FittedPicture:
         """Return [M] from 0, turned away or hidden by its own layer, to 1."""
         height, width = self.mask.shape
         inside = ((pixels >= 0) & (pixels < (width // COARSE * COARSE, height // COARSE * COARSE))).all(axis=1)
-        nearest = self._nearest_pixel(
-            [layer_view.depth for layer_view in self.picture_layers.layers], pixels, layer, COARSE
-        )
+        nearest = self._nearest_pixel([each.depth for each in self.picture_layers.layers], pixels, layer, COARSE)
         facing = -component_sums(normals * where) / lengths(where)
-        ramp = ((facing - low) / (high - low)).clip(0, 1)
-        return np.where(inside & (where[:, 2] < nearest + _DEPTH_TOLERANCE_M), ramp * ramp * (3 - 2 * ramp), 0.0)
+        return np.where(inside & (where[:, 2] < nearest + _DEPTH_TOLERANCE_M), smoothstep(facing, low, high), 0.0)
 
     @found_once
     def _without_prints(self) -> NDArray[np.float32]:
@@ -244,6 +232,5 @@ class FittedPicture:
         own = cv2.resize(np.asarray(front.known, np.float32), size, interpolation=cv2.INTER_AREA)
         own = cv2.erode((own > 0.9).astype(np.uint8), disc(RIM_PX)) > 0
         prints = upscale_labels(centre_prints(small, at, own).astype(np.intp), self.mask.shape) > 0
-        return fill_hole(
-            front.picture, self.mask & (self.picture_layers.label == 0) & ~prints, prints, self.picture_layers.height
-        )
+        plain = self.mask & (self.picture_layers.label == 0) & ~prints
+        return fill_hole(front.picture, plain, prints, self.picture_layers.height)

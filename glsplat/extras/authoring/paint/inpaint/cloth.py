@@ -31,6 +31,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     tolerance_of,
     without_mixed_rows,
 )
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -129,10 +130,9 @@ class Cloth:
             which = np.isin(mine[some], numbers)
             if rows and which.any():
                 other[which] = np.minimum(other[which], cKDTree(np.concatenate(rows)).query(look[some][which])[0])
-        sure = ((distance[some] - _FOREIGN_TOLERANCES[0]) / (_FOREIGN_TOLERANCES[1] - _FOREIGN_TOLERANCES[0])).clip(
-            0, 1
+        out[some] = ramp(distance[some], *_FOREIGN_TOLERANCES) * (
+            other < np.minimum(0.5 * distance[some] * tolerance[some], _FOREIGN_DISTANCE)
         )
-        out[some] = sure * (other < np.minimum(0.5 * distance[some] * tolerance[some], _FOREIGN_DISTANCE))
         return out
 
     def at(self, points: SurfacePoints) -> Material:
@@ -147,10 +147,8 @@ class Cloth:
             mine = np.flatnonzero(region == number)
             if rows is None or not len(mine):
                 continue
-            along = (
-                np.abs(where[mine, rows.axis]) - rows.first if rows.axis == 0 else where[mine, 1] - rows.first
-            ) / ROW_M
-            at = along.clip(0, len(rows.colour) - 1)
+            along = np.abs(where[mine, 0]) if rows.axis == 0 else where[mine, 1]
+            at = ((along - rows.first) / ROW_M).clip(0, len(rows.colour) - 1)
             low = np.floor(at).astype(np.intp)
             high = np.minimum(low + 1, len(rows.colour) - 1)
             part = at - low
@@ -201,14 +199,12 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         if these is not None and number in _CLOTHED:
             below = (number != _TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
             row = ((at - these.first) / ROW_M).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
-            across = (
-                where[taken, 1] if axis == 0 else where[taken, 0] * (1 if other is None else np.sign(where[taken, 0]))
-            )
+            x, y = where[taken, 0], where[taken, 1]
+            across = y if axis == 0 else x if other is None else np.abs(x)
             pattern = goes_around(these.colour, row, across[below], look[taken][below], weight[taken][below])
             if number != _TRUNK and skin is not None:  # bare knees and elbows are no pattern
-                pattern &= np.linalg.norm(these.colour - skin, axis=1) > (
-                    NECKLINE_DISTANCE if number in _SLEEVES else _SKIN_DISTANCE
-                )
+                least = NECKLINE_DISTANCE if number in _SLEEVES else _SKIN_DISTANCE
+                pattern &= np.linalg.norm(these.colour - skin, axis=1) > least
             these = replace(these, pattern=pattern)
         return these
 
@@ -289,12 +285,8 @@ def _cover_shoulders(rows: Rows, where: F64, look: F64, visibility: F64, skin: F
         if not worn:
             continue
         distance = np.min([np.linalg.norm(look - one, axis=1) for one in worn], axis=0)
-        cloth, naked = (
-            distance < np.minimum(from_skin / 2, 2 * SAME_COLOUR_DISTANCE),
-            from_skin < np.minimum(distance, 2 * SAME_COLOUR_DISTANCE),
-        )
         mine = np.abs(where[:, 1] - places[row]) < _ROW_REACH_M
-        strap = mine & cloth
+        strap = mine & (distance < np.minimum(from_skin / 2, 2 * SAME_COLOUR_DISTANCE))
         if visibility[strap].sum() < max(_MIN_STRAP_FRACTION * visibility[mine].sum(), MIN_ROW_WEIGHT / 3):
             continue
         last = int(row)
@@ -302,7 +294,7 @@ def _cover_shoulders(rows: Rows, where: F64, look: F64, visibility: F64, skin: F
         tolerance[row] = tolerance_of(spread)
         edge[row] = np.quantile(np.abs(where[strap, 0]), _STRAP_QUANTILE)
         beyond = mine & (np.abs(where[:, 0]) > edge[row])
-        bare = beyond & naked
+        bare = beyond & (from_skin < np.minimum(distance, 2 * SAME_COLOUR_DISTANCE))
         if rows.pattern[row]:
             bare &= from_skin < NECKLINE_DISTANCE  # dark patterns may be close to skin
         if visibility[bare].sum() > max(MIN_ROW_WEIGHT / 3, visibility[beyond].sum() / 2):

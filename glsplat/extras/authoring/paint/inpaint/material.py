@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.rotations import component_sums, lengths
 
 __all__ = ["NECKLINE_DISTANCE", "Material"]
 
 F64 = NDArray[np.float64]
 
-_SAME_TOLERANCES = 1.0, 1.5  # distances from a cloth's colour: surely the same cloth, surely another one
+_SAME_TOLERANCES, _OTHER_TOLERANCES = 1.0, 1.5  # from a cloth's colour: surely the same cloth, surely another one
 _HAND_BRIGHTNESS_RANGE = 0.7, 1.8  # of a hand's parts over its colour
 
 NECKLINE_DISTANCE = 0.1
@@ -52,10 +53,7 @@ class Material:
         With ``patterned``, colours of its pattern are, too.
         """
         look = np.sqrt(np.maximum(plain, 0))
-        distance = self.distance(look)
-        sure = (_SAME_TOLERANCES[1] - distance).clip(0, _SAME_TOLERANCES[1] - _SAME_TOLERANCES[0]) / (
-            _SAME_TOLERANCES[1] - _SAME_TOLERANCES[0]
-        )
+        sure = ramp(self.distance(look), _OTHER_TOLERANCES, _SAME_TOLERANCES)
         if patterned:
             sure[self.pattern & ~(lengths(look - self.skin) < NECKLINE_DISTANCE)] = 1.0
         return np.where(self.known > 0, sure, 1.0)

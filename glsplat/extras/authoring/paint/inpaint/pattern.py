@@ -45,16 +45,11 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, visi
         parts = [samples[part[samples] == place] for place in range(_PARTS)]
         weights = [float(visibility[mine].sum()) for mine in parts]
         ends = [0, _PARTS - 1]
-        if min(weights[0], weights[-1]) < _OBLIQUE_FACTOR * max(
-            weights[0], weights[-1]
-        ):  # a turned person shows one side only
-            far = int(weights[-1] < weights[0])
-            weights[ends.pop(far)] = 0.0
-        other = {
-            k: _other_fraction(difference[mine], visibility[mine])
-            for k, mine in enumerate(parts)
-            if weights[k] >= _MIN_PART_WEIGHT
-        }
+        near_end, far_end = sorted((weights[0], weights[-1]), reverse=True)
+        if far_end < _OBLIQUE_FACTOR * near_end:  # a turned person shows one side only
+            weights[ends.pop(int(weights[-1] < weights[0]))] = 0.0
+        shown = [k for k in range(_PARTS) if weights[k] >= _MIN_PART_WEIGHT]
+        other = {k: _other_fraction(difference[parts[k]], visibility[parts[k]]) for k in shown}
         tested[index] = len(other) >= _MIN_PARTS
         if tested[index] and min(other.values()) > _MIN_OTHER_FRACTION and all(end in other for end in ends):
             around[index] = min(other[end] for end in ends) > _MIN_END_FACTOR * np.mean(list(other.values()))

@@ -28,11 +28,10 @@ def quilt(texture: Texture, known: NDArray[np.bool_], shape: tuple[int, int]) ->
         if min(texture.shape) < size:
             continue
         share = cv2.boxFilter(known.astype(np.float32), -1, (size, size), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
-        rows, columns = np.nonzero(
-            share[: texture.shape[0] - size + 1, : texture.shape[1] - size + 1] > _MIN_KNOWN_FRACTION
-        )
-        if len(rows) >= _MIN_PIECES:
-            return _sew(texture, np.stack([rows, columns], axis=1), size, shape)
+        whole = share[: texture.shape[0] - size + 1, : texture.shape[1] - size + 1]
+        places = np.argwhere(whole > _MIN_KNOWN_FRACTION)
+        if len(places) >= _MIN_PIECES:
+            return _sew(texture, places, size, shape)
     return None
 
 
@@ -52,15 +51,13 @@ def _sew(texture: Texture, places: NDArray[np.intp], size: int, shape: tuple[int
         for left in range(0, width - size + 1, step):
             some = rng.integers(len(places), size=_CANDIDATES)
             candidates = pieces[places[some, 0], places[some, 1]]
-            flip = rng.random() < 0.5
-            candidates = candidates[:, :, ::-1] if flip else candidates
+            candidates = candidates[:, :, ::-1] if rng.random() < 0.5 else candidates
             place = np.s_[top : top + size, left : left + size]
             filled = weights[place] > 0
             cost = penalty * uses[some]
             if filled.any():
-                cost = cost + ((candidates[:, filled] - total[place][filled] / weights[place][filled]) ** 2).mean(
-                    axis=1
-                )
+                difference = candidates[:, filled] - total[place][filled] / weights[place][filled]
+                cost = cost + (difference**2).mean(axis=1)
             best = np.argsort(cost, kind="stable")[:_BEST_CANDIDATES]
             piece = int(best[rng.integers(len(best))])
             uses[np.abs(places - places[some[piece]]).max(axis=1) < size // 2] += 1

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from glsplat.rotations import component_sums, lengths
 
 __all__ = [
-    "MAX_TOLERANCE",
     "MIN_ROW_WEIGHT",
     "MIN_TOLERANCE",
     "ROW_M",
     "SAME_COLOUR_DISTANCE",
-    "TOLERANCE_PER_SPREAD",
     "Rows",
     "main_colour",
     "rows_of",
@@ -31,7 +29,7 @@ ROW_M = 0.01
 MIN_ROW_WEIGHT = 6.0
 """Summed visibility of a row's samples, at least."""
 
-MIN_TOLERANCE, TOLERANCE_PER_SPREAD, MAX_TOLERANCE = 0.06, 2.0, 0.14
+MIN_TOLERANCE, _TOLERANCE_PER_SPREAD, _MAX_TOLERANCE = 0.06, 2.0, 0.14
 """Distance of a row's colours from its main one, in square roots of linear light; in proportion to their spread."""
 
 SAME_COLOUR_DISTANCE = 0.15
@@ -89,7 +87,7 @@ def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F6
 
 def tolerance_of(spread: float) -> float:
     """Return the distance within which colours of a row with this ``spread`` count as its cloth."""
-    return float(np.clip(TOLERANCE_PER_SPREAD * spread, MIN_TOLERANCE, MAX_TOLERANCE))
+    return float(np.clip(_TOLERANCE_PER_SPREAD * spread, MIN_TOLERANCE, _MAX_TOLERANCE))
 
 
 def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
@@ -108,10 +106,8 @@ def without_mixed_rows(rows: Rows) -> Rows:
     """Return the rows without those of several colours between two that agree, as where a hem hangs aslant."""
     count, colour = len(rows.colour), rows.colour.copy()
     number = np.arange(count)
-    before, after = (
-        rows.colour[(number - _MIXED_GAP_ROWS).clip(0)],
-        rows.colour[(number + _MIXED_GAP_ROWS).clip(None, count - 1)],
-    )
+    before = rows.colour[(number - _MIXED_GAP_ROWS).clip(0)]
+    after = rows.colour[(number + _MIXED_GAP_ROWS).clip(None, count - 1)]
     odd = (rows.tolerance > _MIXED_TOLERANCE) & (np.linalg.norm(before - after, axis=1) < SAME_COLOUR_DISTANCE)
     odd &= np.linalg.norm(rows.colour - before, axis=1) > SAME_COLOUR_DISTANCE
     colour[odd] = (before[odd] + after[odd]) / 2

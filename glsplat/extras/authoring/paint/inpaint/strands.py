@@ -68,11 +68,8 @@ def strands_of(shot: FittedPicture, some: NDArray[np.intp], hair: F64, skin: F64
     weight = known.astype(np.float32)
     sigma = _LOCK_M / _TEXEL_M
     around = cv2.GaussianBlur(light * weight, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-4)
-    ratio = (
-        np.where(known, (light + _BRIGHTNESS_BIAS) / (around + _BRIGHTNESS_BIAS), 1)
-        .clip(*_BRIGHTNESS_RANGE)
-        .astype(np.float32)
-    )
+    ratio = np.where(known, (light + _BRIGHTNESS_BIAS) / (around + _BRIGHTNESS_BIAS), 1)
+    ratio = ratio.clip(*_BRIGHTNESS_RANGE).astype(np.float32)
     shape = int((_HEAD_RADIUS_M * np.pi / 2 + _MAX_LENGTH_M) / _TEXEL_M), int(2 * np.pi * _HEAD_RADIUS_M / _TEXEL_M)
     texture = quilt(ratio, known, shape)
     return None if texture is None else Strands(texture / texture.mean(), middle)

@@ -108,9 +108,9 @@ def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
     label, row, column = nearest_known_labels(known)
     nearest, (rows, columns) = label[hole], np.nonzero(hole)
     mirrored = 2 * row[nearest] - rows, 2 * column[nearest] - columns
-    rows_count, width = known.shape
-    inside = (mirrored[0] >= 0) & (mirrored[0] < rows_count) & (mirrored[1] >= 0) & (mirrored[1] < width)
-    at = mirrored[0].clip(0, rows_count - 1), mirrored[1].clip(0, width - 1)
+    rows_in_all, width = known.shape
+    inside = (mirrored[0] >= 0) & (mirrored[0] < rows_in_all) & (mirrored[1] >= 0) & (mirrored[1] < width)
+    at = mirrored[0].clip(0, rows_in_all - 1), mirrored[1].clip(0, width - 1)
     some = np.flatnonzero(inside & known[at])
     at = at[0][some], at[1][some]
     weight = known.astype(np.float32)

@@ -90,9 +90,8 @@ def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height
         if bones is not None and np.isfinite(bones[:3]).all():
             # landmarks are more precise than the fit's depth
             first, last = bones[index], bones[index + 1]
-            bone = _draw_bone(
-                first if index else first + _UPPER_ARM_START_FACTOR * (last - first), last, mask.shape, height
-            )
+            start = first if index else first + _UPPER_ARM_START_FACTOR * (last - first)
+            bone = _draw_bone(start, last, mask.shape, height)
             fingers = np.zeros_like(bone)
             if index and np.isfinite(bones[3:]).all():
                 fingers = _draw_hand(bones[3:], mask.shape, height)
@@ -104,9 +103,8 @@ def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height
             core = mask & ((bone | fingers) > 0) & near
         visible = lab.copy()
         visible[~mask | (parts[1 - index] & ~near)] = _NO_COLOUR
-        found = _grab_cut(
-            visible, near, likely & near, core & near, distance[index] <= 3 * _ARM_REACH_FRACTION * height
-        )
+        around = distance[index] <= 3 * _ARM_REACH_FRACTION * height
+        found = _grab_cut(visible, near, likely & near, core & near, around)
         plausible = _AREA_RANGE[0] * part.sum() < found.sum() < _AREA_RANGE[1] * part.sum()
         total |= (found if plausible else part) & mask
     arm = cv2.morphologyEx(total.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
@@ -118,9 +116,8 @@ def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height
 def _draw_bone(first: F64, last: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
     """Return [H, W] ones along a bone between two pixels [2]."""
     ends = [tuple(int(side) for side in point.clip(-1e4, 1e4)) for point in (first, last)]
-    return np.asarray(
-        cv2.line(np.zeros(shape, np.uint8), ends[0], ends[1], 1, max(3, round(_BONE_WIDTH_FRACTION * height)))
-    )
+    width = max(3, round(_BONE_WIDTH_FRACTION * height))
+    return np.asarray(cv2.line(np.zeros(shape, np.uint8), ends[0], ends[1], 1, width))
 
 
 def _draw_hand(points: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
@@ -193,10 +190,8 @@ def _held_objects(
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats(beside.astype(np.uint8))
     for number in range(1, count):
         piece = pieces == number
-        if (
-            sizes[number, cv2.CC_STAT_AREA] < _MIN_HELD_FRACTION * height**2
-            or distance[piece].min() > _HELD_REACH_FRACTION * height
-        ):
+        small = sizes[number, cv2.CC_STAT_AREA] < _MIN_HELD_FRACTION * height**2
+        if small or distance[piece].min() > _HELD_REACH_FRACTION * height:
             continue
         near = (_distance(piece) <= _GROW_HELD_FRACTION * height) & (label == 0)
         visible = lab.copy()

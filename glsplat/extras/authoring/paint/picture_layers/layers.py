@@ -115,9 +115,8 @@ class PictureLayers:
         """[H, W] the factor that removes arms' shadows from the trunk."""
         trunk = self._rasterize(self._faces(0), min(1.0, _LABEL_HEIGHT_PX / self.height))[0] >= 0
         fore = np.isin(self._labels[1], FOREARMS).astype(np.uint8)  # upper arms hang beside the trunk
-        covered = trunk & (
-            cv2.dilate(fore, disc(round(_FOREARM_REACH_FRACTION * min(self.height, _LABEL_HEIGHT_PX)))) > 0
-        )
+        reach = round(_FOREARM_REACH_FRACTION * min(self.height, _LABEL_HEIGHT_PX))
+        covered = trunk & (cv2.dilate(fore, disc(reach)) > 0)
         arms = (self.label > 0) & (upscale_labels(covered.astype(np.intp), self.mask.shape) > 0)
         return shadow_gain(linear_light(self.rgb), self.label == 0, arms, self.height)
 
@@ -146,9 +145,8 @@ class PictureLayers:
                 filled = fill_hole(layer.picture, inner & ~hole & (layer.known > _MIN_KNOWN), hole, self.height)
                 layer = replace(layer, picture=filled, far=np.zeros_like(layer.far))
             covered = cv2.resize(layer.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
-            picture = continue_cloth(
-                layer.picture, inner & (layer.known > _MIN_KNOWN), np.isfinite(covered), self.label, number
-            )
+            known = inner & (layer.known > _MIN_KNOWN)
+            picture = continue_cloth(layer.picture, known, np.isfinite(covered), self.label, number)
             carried = np.where((picture == layer.picture).all(axis=2), layer.far, np.float32(0))
             return replace(layer, picture=picture, far=carried)
 

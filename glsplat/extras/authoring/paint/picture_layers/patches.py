@@ -47,9 +47,8 @@ def continue_cloth(picture: Picture, known: Mask, body: Mask, label: Ints, layer
     if not len(rows):
         return picture
     height = float(rows[-1] - rows[0] + 1)
-    near, far, thin = (
-        disc(max(1, round(share * height))) for share in (_REFILL_FRACTION, _SOURCE_GAP_FRACTION, _THIN_FRACTION)
-    )
+    shares = _REFILL_FRACTION, _SOURCE_GAP_FRACTION, _THIN_FRACTION
+    near, far, thin = (disc(max(1, round(share * height))) for share in shares)
     # foreign pixels are thin along outlines; thick ones are things
     things = cv2.morphologyEx(((label < 0) & body).astype(np.uint8), cv2.MORPH_OPEN, thin)
     before = ((label >= 0) & (label != layer)).astype(np.uint8) | things
@@ -68,10 +67,7 @@ def fill_with_patches(picture: Picture, known: Mask, hole: Mask, height: float) 
     if not len(rows):
         return picture
     margin = int(_SOURCE_FRACTION * height)
-    box = (
-        slice(max(rows[0] - margin, 0), rows[-1] + 1 + margin),
-        slice(max(columns[0] - margin, 0), columns[-1] + 1 + margin),
-    )
+    box = tuple(slice(max(used[0] - margin, 0), used[-1] + 1 + margin) for used in (rows, columns))
     visible, weights, wanted = np.sqrt(picture[box].clip(0, 1)), known[box] & ~hole[box], hole[box]
     filled, source = visible, None
     for level, rounds in zip(_LEVEL_HEIGHTS_PX, _LEVEL_ROUNDS, strict=True):
@@ -101,13 +97,12 @@ def _fill_level(small: Picture, known: Mask, hole: Mask, rounds: int, height: fl
     side = 2 * _HALF_PX + 1
     square = np.ones((side, side), np.uint8)
     whole = cv2.erode(known.astype(np.uint8), square, borderValue=0) > 0
+    inner = np.s_[_HALF_PX:-_HALF_PX, _HALF_PX:-_HALF_PX]
     whole[:_HALF_PX], whole[-_HALF_PX:], whole[:, :_HALF_PX], whole[:, -_HALF_PX:] = False, False, False, False
-    rows, columns = np.nonzero(whole)
-    if len(rows) < _MIN_PATCHES or not hole.any():
+    at = np.argwhere(whole)
+    if len(at) < _MIN_PATCHES or not hole.any():
         return None
-    step = -(-len(rows) // _MAX_PATCHES)
-    rows, columns = rows[::step], columns[::step]
-    at = np.stack([rows, columns], axis=1)
+    at = at[:: -(-len(at) // _MAX_PATCHES)]
     touched = np.argwhere(cv2.dilate(hole.astype(np.uint8), square) > 0)
     padded = np.pad(small, ((_HALF_PX, _HALF_PX), (_HALF_PX, _HALF_PX), (0, 0)), mode="edge")
     offsets = np.argwhere(np.ones((side, side), bool))
@@ -118,7 +113,7 @@ def _fill_level(small: Picture, known: Mask, hole: Mask, rounds: int, height: fl
     tree = cKDTree(np.hstack([np.round((patches - mean) @ basis, _DIGITS), at * place]))
     out, source, framed = small.copy(), np.full((*hole.shape, 2), -1, np.intp), padded.copy()
     for _ in range(rounds):
-        padded[_HALF_PX:-_HALF_PX, _HALF_PX:-_HALF_PX] = out
+        padded[inner] = out
         wanted = _patches(padded, touched, offsets)
         _, nearest = tree.query(np.hstack([np.round((wanted - mean) @ basis, _DIGITS), touched * place]))
         source[touched[:, 0], touched[:, 1]] = at[nearest]
@@ -133,7 +128,7 @@ def _fill_level(small: Picture, known: Mask, hole: Mask, rounds: int, height: fl
             from_ = sources + (row - _HALF_PX, column - _HALF_PX)
             total[there] += weight[:, None] * small[from_[:, 0], from_[:, 1]]
             weights[there] += weight
-        total, weights = total[_HALF_PX:-_HALF_PX, _HALF_PX:-_HALF_PX], weights[_HALF_PX:-_HALF_PX, _HALF_PX:-_HALF_PX]
+        total, weights = total[inner], weights[inner]
         out[hole] = total[hole] / np.maximum(weights[hole], 1e-9)[:, None]
     return out, source
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
+from glsplat.extras.authoring.paint.ramps import ramp
 
 __all__ = ["shadow_gain"]
 
@@ -47,9 +48,7 @@ def shadow_gain(picture: Picture, shown: Mask, arms: Mask, height: float) -> Pic
     light, full = own.mean(axis=2) + 1e-4, cloth.mean(axis=2) + 1e-4
     hue = np.abs(own / (3 * light[..., None]) - cloth / (3 * full[..., None])).max(axis=2)
     ratio = full / light
-    likeness = ((_MAX_SHADOW_RATIO - ratio) / (_MAX_SHADOW_RATIO - _SHADOW_RATIO)).clip(0, 1) * (
-        2 - hue / _HUE_TOLERANCE
-    ).clip(0, 1)
+    likeness = ramp(ratio, _MAX_SHADOW_RATIO, _SHADOW_RATIO) * (2 - hue / _HUE_TOLERANCE).clip(0, 1)
     some = shaded & (near > _MIN_WEIGHT) & (far > _MIN_WEIGHT)
     gain = np.where(some, 1 + likeness * np.maximum(ratio - 1, 0), 1).astype(np.float32)
     # pixels at an arm's edge are as shaded as those beside it
