@@ -148,7 +148,7 @@ class _HairPoints(NamedTuple):
     faces: Indices
 
     def splats_along(self, along: F64, scales: F64, rgb: F64, opacity: float) -> ExtraSplats:
-        """Return a splat for each point along ``along``, just above the surface."""
+        """Return a splat for each point in the direction ``along``, just above the surface."""
         axes, opacities = axes_along(along, self.facing), np.full(len(self.means), opacity)
         means = self.means + self.facing * _HAIR_GAP_M
         return ExtraSplats(means, axes, scales, opacities, np.clip(rgb, 0, 1), self.faces)
@@ -167,25 +167,17 @@ def _scatter_on_part(
         return None
     corners = mesh.vertices[hair.faces]
     along, normal, area = _flow(corners, hair.uv)
-    places: list[Indices] = []
-    weights: list[F64] = []
-    colours: list[F64] = []
+    found: list[tuple[Indices, F64, F64]] = []
     for _ in range(_MAX_TRIES):
         which = rng.choice(len(area), 4 * count, p=area / area.sum())
         edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
         bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
         rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
         with_hair = rgba[:, 3] > min_alpha
-        places.append(which[with_hair])
-        weights.append(bary[with_hair])
-        colours.append(rgba[with_hair, :3])
-        if sum(map(len, places)) >= count:
+        found.append((which[with_hair], bary[with_hair], rgba[with_hair, :3]))
+        if sum(len(each[0]) for each in found) >= count:
             break
-    which, bary, rgb = (
-        np.concatenate(places)[:count],
-        np.concatenate(weights)[:count],
-        np.concatenate(colours)[:count],
-    )
+    which, bary, rgb = (np.concatenate(each)[:count] for each in zip(*found, strict=True))
     if len(which) < max(count, 1):
         return None
     means = np.einsum("nk,nkc->nc", bary, corners[which])
@@ -208,12 +200,8 @@ def _lashes(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     fan = np.stack([0.7 * spread + rng.normal(0, 0.08, count), np.full(count, 0.15 * up), np.zeros(count)], axis=1)
     first = unit_vectors(unit_vectors(root - ball.centre) + fan)
     second = unit_vectors(first + np.array([0, 0.75 * up, 0]))
-    length = (
-        length_factor
-        * (_UPPER_LENGTH_M if upper else _LOWER_LENGTH_M)
-        * rng.uniform(0.75, 1.1, count)[:, None]
-        * (1 - 0.7 * spread[:, None] ** 2)
-    )
+    longest = length_factor * (_UPPER_LENGTH_M if upper else _LOWER_LENGTH_M)
+    length = longest * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
     joint = root + 0.5 * length * first
     along = np.concatenate([first, second])
     means = np.concatenate([root + 0.25 * length * first, joint + 0.25 * length * second])

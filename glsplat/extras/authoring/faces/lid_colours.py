@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["lid_colours"]
@@ -58,7 +59,7 @@ def lid_colours(splats: Splats, places: F64, eye: Opening) -> F64:
     if skin is None:
         return np.full((len(places), 3), 0.5) * shaded
     rgb = skin.at(offsets, _LID_HUE_POWER) * shaded
-    share = ((eye.edges.beyond(offsets) - _BLEND_RAD[0]) / (_BLEND_RAD[1] - _BLEND_RAD[0])).clip(0, 1)[:, None]
+    share = ramp(eye.edges.beyond(offsets), *_BLEND_RAD)[:, None]
     _, nearest = cKDTree(np.where(splats.finite()[:, None], splats.means, 0)).query(places, k=_NEIGHBOURS)
     around = (splats.sh[nearest, 0].astype(np.float64) * SH_C0 + 0.5).mean(axis=(1, 2))[:, None]
     light = (around / rgb.mean(axis=1, keepdims=True)).clip(*_BLEND_RANGE)

@@ -29,7 +29,7 @@ from glsplat.extras.authoring.faces.lashes_and_hair import (
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.nearest import nearest_on
-from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -95,15 +95,14 @@ def _shapes_behind_lid(avatar: Avatar, ball: Eyeball, edges: LidEdges, lashes: r
     there = splats.means.astype(np.float64) - ball.centre + move
     near = splats.finite() & (np.linalg.norm(there, axis=1) < _LID_RADIUS_M) & (there[:, 2] > 0)
     share = np.zeros((len(splats), 1))
-    share[near, 0] = ((_lid_opacity(there[near], edges) - _COVERED_OPACITY) / (1 - _COVERED_OPACITY)).clip(0, 1)
+    share[near, 0] = ramp(_lid_opacity(there[near], edges), _COVERED_OPACITY, 1)
     share[lashes] = 0
     move -= _COVERED_RETREAT_M * share * unit_vectors(there)
     moving_lashes = np.flatnonzero(np.isin(np.arange(len(splats)), lashes) & (move[:, 1] < -_MIN_BLINK_M) & near)
     height = there[moving_lashes] - move[moving_lashes]  # at rest
     height = edges.above(height)[1] * np.linalg.norm(height, axis=1)
-    move[moving_lashes] += _LASH_LIFT_M * unit_vectors(there[moving_lashes]) - _LASH_TURN_FACTOR * height.clip(0)[
-        :, None
-    ] * (0, 1, 0)
+    drop = _LASH_TURN_FACTOR * height.clip(0)[:, None]
+    move[moving_lashes] += _LASH_LIFT_M * unit_vectors(there[moving_lashes]) - drop * (0, 1, 0)
     bend[moving_lashes] = -_LASH_TURN_FACTOR * _long_axes(splats)[moving_lashes] * (0, 1, 0)
     bend -= share[:, :, None] * (bend + _COVERED_SHRINK * _long_axes(splats))
     moved = np.flatnonzero((share[:, 0] > 0) | np.isin(np.arange(len(splats)), shapes.rows[mine]))

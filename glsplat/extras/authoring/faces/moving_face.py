@@ -47,11 +47,9 @@ def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0, *, ey
     except in the mouth. Without ``eyes_visible`` (closed lids, dark glasses, a few pixels) no lashes are added. Levels
     and cones are dropped.
     """
-    made, lashes = avatar, range(0)
+    (mesh, eyes), made, lashes = face, avatar, range(0)
     if eyes_visible:
-        made = with_lashes(
-            avatar, face.mesh, face.eyes, seed, strength=_OPACITY_FACTOR, length=_LENGTH_FACTOR, light=False
-        )
-        lashes = range(len(avatar.splats), len(avatar.splats) + LASH_SPLATS * len(face.eyes))
-    made = with_lids(made, face.mesh, face.eyes, lashes, seed)
-    return with_teeth(made, face.mesh, total - len(made.splats), len(avatar.splats), seed)
+        made = with_lashes(avatar, mesh, eyes, seed, strength=_OPACITY_FACTOR, length=_LENGTH_FACTOR, light=False)
+        lashes = range(len(avatar.splats), len(avatar.splats) + LASH_SPLATS * len(eyes))
+    made = with_lids(made, mesh, eyes, lashes, seed)
+    return with_teeth(made, mesh, total - len(made.splats), len(avatar.splats), seed)

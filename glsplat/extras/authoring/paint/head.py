@@ -18,7 +18,7 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head", "ears_of"]
+__all__ = ["BackOfHead", "back_of_head", "ears_of", "vertices_of"]
 
 F64 = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def back_of_head(
     joints = shot.mesh.skeleton.joints
     middle = joints[JOINT_NAMES.index("head")]
     ear, nape = middle[2] + _BEHIND_JOINT_M, joints[JOINT_NAMES.index("neck"), 2] + _BEHIND_JOINT_M
-    head, neck = _vertices_of(body, "head", "jaw") & body.skin, _vertices_of(body, "neck")
+    head, neck = vertices_of(body, "head", "jaw") & body.skin, vertices_of(body, "neck")
     low, top = rest[head, 1].min(), rest[head, 1].max()
     nape_height = low + _NAPE_FRACTION * (top - low)
     unlit = shot.sample(shot.view.pixels, shot.layer) / light.shade(shot.normals)[:, None]
@@ -156,7 +156,7 @@ def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     mean = np.bincount(edges.row, length, len(body.vertices)) / np.maximum(np.bincount(edges.row), 1)
     x, y, z = body.vertices.T
     box = (y > _EAR_Y_M[0]) & (y < _EAR_Y_M[1]) & (z > _EAR_Z_M[0]) & (z < _EAR_Z_M[1]) & (mean < _EAR_EDGE_M)
-    box &= _vertices_of(body, "head") & body.skin
+    box &= vertices_of(body, "head") & body.skin
     return box & (x > _EAR_MIN_X_M), box & (x < -_EAR_MIN_X_M)
 
 
@@ -203,7 +203,7 @@ def _distance(colours: F64, other: F64) -> F64:
     return np.asarray(np.linalg.norm(colours - other, axis=-1))
 
 
-def _vertices_of(body: Body, *names: str) -> NDArray[np.bool_]:
+def vertices_of(body: Body, *names: str) -> NDArray[np.bool_]:
     """Return [V] the vertices that are bound most to these joints."""
     return np.isin(body.part, [JOINT_NAMES.index(name) for name in names])
 

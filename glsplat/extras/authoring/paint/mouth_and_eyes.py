@@ -12,17 +12,17 @@ from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.extras.authoring.paint.eyes import eye_colours
+from glsplat.extras.authoring.paint.head import vertices_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb
-from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["EyesAndMouth", "eyes_and_mouth_of"]
 
 F64 = NDArray[np.float64]
 
-_EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]
 # sRGB; pictures of whole people do not show them: a lit tongue, the lining deep inside, and lips where none are visible
 _TONGUE_RGB, _DEEP_LINING_RGB, _LIPS_RGB = (0.64, 0.34, 0.33), (0.10, 0.035, 0.035), (0.55, 0.30, 0.28)
 _TONGUE_BACK_LIGHT, _TONGUE_UNDERSIDE_LIGHT = 0.3, 0.55  # of the light on its tip and on its top
@@ -78,7 +78,7 @@ class EyesAndMouth:
 
 def eyes_and_mouth_of(body: Body, front: FittedPicture, looks: Mapping[str, EyeLook]) -> EyesAndMouth:
     """Return the colours inside a ``body`` with the eyes ``looks``; without looks eyes keep their paint."""
-    tongue = ~body.skin & ~np.isin(body.part, _EYES)
+    tongue = ~body.skin & ~vertices_of(body, *EYES)
     return EyesAndMouth(body, front, looks, _lip_colour(front), tongue, vertex_normals(body.vertices, body.faces))
 
 

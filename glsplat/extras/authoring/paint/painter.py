@@ -14,17 +14,18 @@ from glsplat.extras.authoring.compute.threads import abreast, aside
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
-from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head
+from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
 from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
 from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.pictures import to_srgb
-from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["COLOUR_DIGITS", "Paint", "Painter", "paint", "painter_of"]
 
@@ -34,7 +35,7 @@ COLOUR_DIGITS = 6
 """Decimals of a colour; see optimize/colour_fit.py."""
 
 # faces and chins have no counterpart at the back
-_UNMATCHED = [JOINT_NAMES.index(name) for name in ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")]
+_UNMATCHED = ("neck", *HEAD)
 _GUESSED_DETAIL_FACTOR = 0.6  # guessed detail gets fewer splats than visible detail
 _BLOCK_POINTS = 1 << 15  # painted together by one core
 _MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
@@ -107,7 +108,7 @@ class Painter:
         matched = self.matches.colours(front, points, material.pattern)
         source_shade = self.light.shade(matched.normals)
         ratio = (shade / source_shade).clip(*_SHADE_RATIO_RANGE)
-        round_parts = np.isin(body.part, _UNMATCHED)
+        round_parts = vertices_of(body, *_UNMATCHED)
         trust = matched.visibility * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
         trust = trust * material.likeness(matched.linear / source_shade[:, None])
         # colours filled into a hole count less than the cloth's, unless that has a pattern
@@ -173,11 +174,9 @@ def painter_of(
 def _mirror_weights(body: Body, shot: FittedPicture) -> F64:
     """Return [V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the background."""
     trunk, rest = trunk_of(body), shot.mesh.vertices
-    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_of(body)
+    hair = vertices_of(body, "neck", "head") & ~face_of(body)
     share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
-    return np.where(
-        hair, 0.0, np.where(trunk, ((share - _MIRROR_FADE[0]) / (_MIRROR_FADE[1] - _MIRROR_FADE[0])).clip(0, 1), 1.0)
-    )
+    return np.where(hair, 0.0, np.where(trunk, ramp(share, *_MIRROR_FADE), 1.0))
 
 
 def paint(

@@ -18,12 +18,13 @@ from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_of
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.geometry.visibility import EYES
+from glsplat.extras.authoring.paint.head import vertices_of
 from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
 from glsplat.extras.authoring.paint.painter import COLOUR_DIGITS, Paint
 from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_srgb
-from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["Fusion", "fusion_of"]
 
@@ -85,7 +86,8 @@ def fusion_of(
     """
     near = body.neighbours
     degree = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1)
-    visible = np.stack([shot.visibility for shot in shots], axis=1) * (body.skin | _on_eyes(body))[:, None]  # [V, N]
+    outside = body.skin | vertices_of(body, *EYES)
+    visible = np.stack([shot.visibility for shot in shots], axis=1) * outside[:, None]  # [V, N]
     squareness = np.stack([shot.squareness for shot in shots], axis=1)
     # neighbours of hidden vertices are nearly hidden
     hidden = near @ (visible <= 0).astype(float) / degree[:, None]
@@ -114,7 +116,3 @@ def _fill_unseen(body: Body, shots: Sequence[FittedPicture], shares: F64, visibi
             continue
         target[mine] += shares[mine, index, None] * shot.sample(shot.view.pixels[mine])
     return fill_smoothly(body, visibility, target)
-
-
-def _on_eyes(body: Body) -> NDArray[np.bool_]:
-    return np.isin(body.part, [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.body_fit import FittedView
-from glsplat.extras.authoring.paint.head import back_of_head
+from glsplat.extras.authoring.paint.head import back_of_head, vertices_of
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
@@ -39,7 +39,7 @@ def with_hair(body: Body, shots: tuple[FittedPicture, ...]) -> tuple[FittedPictu
     up = front.view.root[:, 1]
     head = back_of_head(body, front, Lamp(np.array([0.0, 0.0, -1.0]), up, 0.0), locks=False)
     hair = (head.covered * head.hair).clip(0, 1)
-    of_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
+    of_head = body.skin & vertices_of(body, "head", "jaw")
     hanging = (hair > 0) & ~of_head & body.skin
     middle = of_head & (np.abs(rest[:, 0]) < _HEAD_MIDDLE_M)
     lowest = float(rest[hanging, 1].min(initial=np.inf))
