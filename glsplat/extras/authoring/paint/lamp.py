@@ -48,18 +48,18 @@ class Lamp:
 def find_light(
     normals: F64,
     linear: F64,
-    trust: F64,
+    visibility: F64,
     up: F64,
     towards: F64,
     prior_sigmas: tuple[float, float] = _PRIOR_SIGMAS,
 ) -> Lamp:
-    """Return the light that explains visible points: unit ``normals`` [M, 3], ``linear`` colours [M, 3], ``trust`` [M].
+    """Return the light that explains visible points: unit ``normals`` [M, 3] and ``linear`` colours [M, 3].
 
-    ``up`` [3] and ``towards`` [3] (from the person to the camera) are unit vectors in the same axes. Without enough
-    points it is the usual light, from above and ahead. ``prior_sigmas`` are of
-    the direction (tangents) and of the log strength.
+    ``visibility`` [M] selects the points. ``up`` [3] and ``towards`` [3] (from the person to the camera) are unit
+    vectors in the same axes. ``prior_sigmas`` are of the direction (tangents) and of the log strength. Without enough
+    points it is the usual light, from above and ahead.
     """
-    some = np.flatnonzero(trust > _MIN_VISIBILITY)
+    some = np.flatnonzero(visibility > _MIN_VISIBILITY)
     some = some[:: max(1, len(some) // _MAX_POINTS)]
     left = np.cross(up, towards)
     axes = np.stack([left / np.linalg.norm(left), up, np.cross(left / np.linalg.norm(left), up)])

@@ -45,7 +45,7 @@ def shut(mesh: RiggedMesh) -> np.ndarray:
     return mesh.morphs.moved(Pose(STILL, expression=dict.fromkeys(BLINK_SHAPES, 1.0)), len(mesh.vertices))
 
 
-def test_lids_meet_and_go_no_farther() -> None:
+def test_lids_stop_where_they_meet() -> None:
     mesh, wide = seeing(), 0.6  # the upper lid at rest is there already but for so much of its way
     drawn = np.where(lid_corners(mesh)[:, None], (1 - wide) * 0.5 * shut(mesh), 0)
     mesh = replace(mesh, vertices=mesh.vertices + drawn)
@@ -62,7 +62,7 @@ def test_lids_meet_and_go_no_farther() -> None:
     assert 0.2 < share <= 1
 
 
-def test_eyeballs_give_way_by_three_millimetres_and_nothing_else_changes() -> None:
+def test_eyeballs_retreat_by_three_millimetres_and_nothing_else_changes() -> None:
     mesh = seeing()
     made = with_blink(mesh, dict.fromkeys(BLINK_SHAPES, 0.5))
     ball = np.unique(np.concatenate([one.faces for one in mesh.parts if one.name in EYES]))
@@ -104,7 +104,7 @@ def test_the_ball_turns_about_its_middle_and_stays_where_it_is() -> None:
         assert np.abs(np.linalg.norm(posed - ball.centre, axis=1) - ball.radius).max() < 1e-4
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_invalid_parts_and_colours_are_refused() -> None:
     with pytest.raises(FormatError, match="an iris is one of brown, dark brown, blue, grey, green, not 'red'"):
         with_eyeballs(person(), "eyes", "red")
     with pytest.raises(FormatError, match="left_eye_smplhf"):

@@ -126,7 +126,7 @@ def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
     assert with_brow_hairs(bald, browed, "beard", 160) is bald
 
 
-def test_veils_go_with_the_lids_without_stretching() -> None:
+def test_lid_shadows_follow_the_lids_without_stretching() -> None:
     mesh = expressive()
     avatar = smiling()
     lashed = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")))

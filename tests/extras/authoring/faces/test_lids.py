@@ -103,7 +103,7 @@ def test_a_lid_that_is_half_shut_is_before_the_eye_and_ends_above_the_lower_one(
         assert (rest[mine, 1] - whole[mine, 1]).max() > 0.005
 
 
-def test_it_has_the_hue_of_the_skin_about_it_shaded_as_lids_are_and_not_of_eyes_or_brows() -> None:
+def test_a_lid_has_the_hue_of_the_skin_around_it_and_not_of_eyes_or_brows() -> None:
     ball, _edges = eyes()[0]
     count = len(painted().splats)
     rgb = lidded().splats.sh[count:, 0].astype(np.float64) * SH_C0 + 0.5
@@ -119,7 +119,7 @@ def test_it_has_the_hue_of_the_skin_about_it_shaded_as_lids_are_and_not_of_eyes_
     assert across.min() < 0.93 * across.max()  # a crease above, or the shade of lashes below
 
 
-def test_what_the_lid_covers_shrinks_and_a_line_of_lashes_comes_where_the_lids_meet() -> None:
+def test_covered_splats_shrink_and_a_lash_line_appears_where_the_lids_meet() -> None:
     count, made = len(painted().splats), lidded()
     rest, whole = shut(0.0), shut(1.0)
     size = [np.linalg.norm(one.shapes[:count], axis=1).max(axis=1) for one in (rest, whole)]
@@ -135,7 +135,7 @@ def test_what_the_lid_covers_shrinks_and_a_line_of_lashes_comes_where_the_lids_m
         assert np.ptp(line[:, 0]) > 0.012
 
 
-def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
+def test_other_splats_stay_and_without_visible_skin_lids_are_grey() -> None:
     count = len(painted().splats)
     for key in ("means", "quats", "scales", "opacities", "sh"):
         assert np.array_equal(getattr(lidded().splats, key)[:count], getattr(painted().splats, key))

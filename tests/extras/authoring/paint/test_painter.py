@@ -114,7 +114,7 @@ def paint_without_light(scene: Scene, points: SurfacePoints) -> np.ndarray:
     return to_srgb(matches.colours(scene.shots[0], points).linear)
 
 
-def test_a_picture_of_the_back_is_believed() -> None:
+def test_a_picture_of_the_back_gives_its_colours() -> None:
     scene = photographed("front", "back")
     points = some_points(scene)
     painted = paint(scene.body, scene.shots, points)

@@ -20,7 +20,7 @@ def middles(scene: Scene) -> SurfacePoints:
     return SurfacePoints(faces, np.full((len(faces), 3), 1 / 3))
 
 
-def test_shares_are_of_what_is_seen() -> None:
+def test_shares_sum_to_the_visibility() -> None:
     scene = photographed(*SIDES)
     fusion = fusion_of(scene.body, scene.shots)
     assert np.allclose(fusion.shares.sum(axis=1), fusion.visibility) and fusion.shares.min() >= 0
@@ -30,7 +30,7 @@ def test_shares_are_of_what_is_seen() -> None:
     assert (fusion.visibility[scene.body.skin] < 0.1).mean() < 0.3
 
 
-def test_each_place_comes_from_who_sees_it_best() -> None:
+def test_each_place_comes_from_the_picture_that_sees_it_best() -> None:
     """Pictures in one plain colour each: a back is of the back's."""
     scene = photographed(*SIDES)
     plain = [np.full_like(shot.rgb, 0) for shot in scene.shots]
@@ -49,7 +49,7 @@ def test_each_place_comes_from_who_sees_it_best() -> None:
     assert (np.abs(level - wanted)[sure] < 6).mean() > 0.9
 
 
-def test_a_blurred_picture_is_asked_last() -> None:
+def test_a_penalised_picture_loses_its_share() -> None:
     scene = photographed("front", "front", "back")
     even = fusion_of(scene.body, scene.shots).shares
     first, second = (
@@ -60,7 +60,7 @@ def test_a_blurred_picture_is_asked_last() -> None:
     assert (first[trunk, 0] > 10 * first[trunk, 1]).all() and (second[trunk, 1] > 10 * second[trunk, 0]).all()
 
 
-def test_nobody_looks_and_it_is_filled() -> None:
+def test_unseen_surface_is_filled_smoothly() -> None:
     """From the front alone the back is as smooth as its edges are."""
     scene = photographed("front")
     fusion = fusion_of(scene.body, scene.shots)

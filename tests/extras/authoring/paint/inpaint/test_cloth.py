@@ -51,7 +51,7 @@ def with_picture(scene: Scene, rgb: np.ndarray) -> FittedPicture:
     return replace(scene.shots[0], rgb=np.ascontiguousarray(rgb))
 
 
-def test_a_shirts_sign_is_not_on_its_back() -> None:
+def test_a_shirts_print_is_not_on_its_back() -> None:
     scene = photographed("front")
     points, where, facing = places(scene)
     chest = (np.abs(where[:, 0]) < 0.05) & (where[:, 1] > 0.66) & (where[:, 1] < 0.76)
@@ -89,7 +89,7 @@ def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
 
 
-def test_a_hands_brightness_says_nothing() -> None:
+def test_a_hands_brightness_is_ignored() -> None:
     """Palms and nails are brighter than the backs of hands, and are believed; another hue is not."""
     back = np.array([[0.08, 0.04, 0.03]])
     one = np.ones(1)

@@ -43,14 +43,14 @@ def test_a_pattern_goes_on_behind_an_arm(kind: str) -> None:
     assert np.array_equal(filled, fill_with_patches(begun, ~hole, hole, HEIGHT))
 
 
-def test_where_nothing_is_known_nothing_changes() -> None:
+def test_without_known_pixels_nothing_changes() -> None:
     true, hole = cloth("checks"), arm()
     assert fill_with_patches(true, np.zeros_like(hole), hole, HEIGHT) is true
     assert fill_with_patches(true, ~hole, np.zeros_like(hole), HEIGHT) is true
 
 
 @pytest.mark.check
-def test_only_what_the_body_has_behind_an_arm_is_carried_on() -> None:
+def test_cloth_is_continued_only_where_the_body_is_behind_an_arm() -> None:
     """The trunk ends beside the arm's tip; a thing over it hides it as an arm does, a thin rim of nobody's does not."""
     true, hole = cloth("stripes"), arm()
     there = np.zeros_like(hole)
@@ -82,7 +82,7 @@ def shirt(shadow: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("shadow", [0.5, 0.8])
 @pytest.mark.parametrize("scale", [1, 3])
-def test_a_shadow_is_taken_out(shadow: float, scale: int) -> None:
+def test_a_shadow_is_removed(shadow: float, scale: int) -> None:
     picture, shown, arms = (np.repeat(np.repeat(part, scale, 0), scale, 1) for part in shirt(shadow))
     times = shadow_gain(picture, shown, arms, HEIGHT * scale)[::scale, ::scale]
     middle = times[SHADE, 30:-30][3:-7]  # its edge comes out as soft as the cloth's pattern is fine
@@ -91,18 +91,18 @@ def test_a_shadow_is_taken_out(shadow: float, scale: int) -> None:
     assert (times[ARM, 30:-30] == 1).all()
 
 
-def test_what_is_as_bright_as_the_rest_stays() -> None:
+def test_lit_cloth_is_unchanged() -> None:
     assert np.abs(shadow_gain(*shirt(1.0), HEIGHT)[:, 20:-20] - 1).max() < 0.04
 
 
-def test_another_hue_and_what_is_far_darker_is_no_shadow() -> None:
+def test_another_hue_or_a_far_darker_colour_is_no_shadow() -> None:
     picture, shown, arms = shirt(1.0)
     for other in (BLUE, WHITE * 0.2):
         picture[SHADE] = other
         assert np.abs(shadow_gain(picture, shown, arms, HEIGHT)[SHADE, 30:-30][3:-3] - 1).max() < 0.05
 
 
-def test_without_an_arm_there_is_none() -> None:
+def test_without_an_arm_there_is_no_shadow() -> None:
     picture, shown, arms = shirt(0.5)
     assert (shadow_gain(picture, shown | arms, np.zeros_like(arms), HEIGHT) == 1).all()
     assert (shadow_gain(picture, np.zeros_like(arms), arms, HEIGHT) == 1).all()  # nor where no trunk is seen

@@ -41,7 +41,7 @@ def crossing() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return picture, mask, truth, segment
 
 
-def test_colours_say_where_an_arm_is_that_the_fit_has_beside_it() -> None:
+def test_colours_correct_a_misplaced_arm() -> None:
     picture, mask, truth, segment = crossing()
     nobody = np.zeros(mask.shape, bool)
     label = labels_of(picture, mask, segment, nobody, nobody)
@@ -79,7 +79,7 @@ def test_a_thing_in_a_hand_is_not_the_body() -> None:
     assert (label[segment == 0] == 0).mean() > 0.8
 
 
-def test_what_an_arm_hid_is_continued_across() -> None:
+def test_cloth_hidden_by_an_arm_is_continued_across() -> None:
     rows = np.arange(200)[:, None, None]
     stripes = np.where(rows // 20 % 2, 0.6, 0.1) * np.ones((200, 120, 3))
     hole = np.zeros((200, 120), bool)
@@ -92,7 +92,7 @@ def test_what_an_arm_hid_is_continued_across() -> None:
     assert np.abs(middle[0] - middle[1]).max() < 0.1
 
 
-def test_prints_are_in_the_middle_alone_and_stripes_are_not() -> None:
+def test_prints_are_found_in_the_middle_and_stripes_are_not() -> None:
     at = np.stack(np.meshgrid(np.linspace(-1.1, 1.1, 120), np.linspace(0.6, 0, 160)), axis=2)
     at[np.abs(at[..., 0]) > 1] = np.nan
     cloth = np.full((160, 120, 3), 0.3, np.float32)
