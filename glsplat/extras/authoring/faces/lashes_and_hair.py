@@ -20,11 +20,9 @@ from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 __all__ = [
-    "GLINT_RGB",
     "LASH_RGB",
     "LASH_SPLATS",
     "LID_SHADOW_RGB",
-    "STRAND_SIGMAS_M",
     "ExtraSplats",
     "add_splats",
     "axes_along",
@@ -41,7 +39,7 @@ _UPPER_LASHES, _LOWER_LASHES = 34, 18
 LASH_SPLATS = 2 * (_UPPER_LASHES + _LOWER_LASHES)
 """Of one eye; ``with_lashes`` adds them first."""
 _UPPER_LENGTH_M, _LOWER_LENGTH_M, _LASH_SIGMA_M = 0.0085, 0.0045, 0.00011
-LASH_RGB, LID_SHADOW_RGB, GLINT_RGB = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255, np.ones(3)
+LASH_RGB, LID_SHADOW_RGB = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255
 # degrees below the upper lid's edge, and opacities, of the rows of its shadow
 _SHADOW_ROWS = ((-1.0, 0.55), (3.0, 0.34), (7.0, 0.18))
 _SHADOW_SIGMAS_M, _GLINT_SIGMAS_M = (0.0011, 0.0007, 0.00008), (0.00055, 0.00055, 0.00008)
@@ -49,7 +47,7 @@ _SHADOW_GAP_M, _GLINT_GAP_M = 0.0002, 0.0004  # from the eyeball
 _GLINT_ANGLES_RAD = np.radians((10.0, 13.0))  # left and up: where an eye mirrors a window
 _GLINT_LID_GAP_RAD = np.radians(5)  # below the lid's edge, at least
 _GLINT_RETREAT_M = 0.008  # into the eye, in a blink
-STRAND_SIGMAS_M = (0.0075, 0.00050, 0.00018)
+_STRAND_SIGMAS_M = (0.0075, 0.00050, 0.00018)
 _BROW_HAIR_SIGMAS_M = (0.0014, 0.00011, 0.00008)
 _MIN_HAIR_ALPHA, _MIN_BROW_ALPHA = 0.8, 0.35  # of a texel that has hair
 _HAIR_GAP_M = 0.0008  # from the surface
@@ -114,7 +112,7 @@ def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: 
     points = _scatter_on_part(mesh, part, count, rng, _MIN_HAIR_ALPHA)
     if points is None:
         return avatar
-    sigmas = np.array(STRAND_SIGMAS_M) * rng.uniform(0.6, 1.3, (len(points.rgb), 1))
+    sigmas = np.array(_STRAND_SIGMAS_M) * rng.uniform(0.6, 1.3, (len(points.rgb), 1))
     tone = points.rgb * rng.uniform(0.65, 1.45, (len(points.rgb), 1)) + rng.uniform(0, 0.03, (len(points.rgb), 1))
     return add_splats(avatar, mesh, points.splats_along(points.along, sigmas, tone, 0.8))
 
@@ -239,7 +237,7 @@ def _glint(ball: Eyeball, edges: LidEdges) -> ExtraSplats:
     face = edges.upper_face[len(edges.side) // 2][None]
     scales = np.array([_GLINT_SIGMAS_M])
     mean = ball.centre + (ball.radius + _GLINT_GAP_M) * way
-    return ExtraSplats(mean, axes, scales, np.array([0.85]), GLINT_RGB[None], face)
+    return ExtraSplats(mean, axes, scales, np.array([0.85]), np.ones((1, 3)), face)
 
 
 def _hide_in_blinks(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:

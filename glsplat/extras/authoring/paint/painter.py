@@ -27,7 +27,7 @@ from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.pictures import to_srgb
 
-__all__ = ["COLOUR_DIGITS", "Paint", "Painter", "paint", "painter_of"]
+__all__ = ["COLOUR_DIGITS", "Paint", "Painter", "painter_of"]
 
 F64 = NDArray[np.float64]
 
@@ -177,13 +177,6 @@ def _mirror_weights(body: Body, shot: FittedPicture) -> F64:
     hair = vertices_of(body, "neck", "head") & ~face_of(body)
     share = np.abs(rest[:, 0]) / np.maximum(half_width(rest, trunk), 1e-3)
     return np.where(hair, 0.0, np.where(trunk, ramp(share, *_MIRROR_FADE), 1.0))
-
-
-def paint(
-    body: Body, shots: Sequence[FittedPicture], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
-) -> Paint:
-    """Return the colours of ``points`` of the dressed body; ``shots`` begin with the front, ``looks`` are its eyes."""
-    return painter_of(body, shots, points, looks).paint(points)
 
 
 def _mix_views(samples: Sequence[ViewSample]) -> tuple[F64, F64]:

@@ -30,7 +30,7 @@ def eyes() -> list[Opening]:
 
 @lru_cache(maxsize=1)
 def painted() -> Avatar:
-    """Skin below the eyes' middle a little redder than above, dark brows, white eyes and what lies on lids blue."""
+    """Skin below the eyes' middle a little redder than above, dark brows, white eyes and blue lids."""
     mesh = face().mesh
     avatar = with_shapes(avatar_on(mesh, 3000), mesh)
     splats, means = avatar.splats, avatar.splats.means.astype(np.float64)
@@ -80,7 +80,7 @@ def test_an_eye_that_is_shut_is_covered_by_skin_and_an_open_one_is_not() -> None
         posed = shut(much)
         means, size = posed.means[count:][solid] - ball.centre, np.linalg.norm(posed.shapes[count:][solid], axis=1)
         far = np.linalg.norm(means, axis=1)
-        before = far > ball.radius if not much else np.ones(len(far), bool)  # what is in the eye is not seen
+        before = far > ball.radius if not much else np.ones(len(far), bool)  # inside the eye nothing is visible
         apart = np.linalg.norm(ways[:, None] * far[None, before, None] - means[before], axis=2)
         nearest.append((apart / np.maximum(size[before].max(axis=1), 1e-9)).min(axis=1))
         if much:
@@ -95,7 +95,7 @@ def test_a_lid_that_is_half_shut_is_before_the_eye_and_ends_above_the_lower_one(
     rest, whole = shut(0.0).means, shut(1.0).means
     for ball, edges in eyes():
         mine = np.flatnonzero(np.linalg.norm(whole[count:] - ball.centre, axis=1) < 0.03) + count
-        upper = mine[(whole - rest)[mine, 1] < -0.003]  # what comes down
+        upper = mine[(whole - rest)[mine, 1] < -0.003]  # the splats that come down
         assert len(upper) > 50
         ways = half[upper] - ball.centre
         assert np.linalg.norm(ways, axis=1).min() > ball.radius + 0.5 * EYEBALL_RETREAT_M[2] - 0.001

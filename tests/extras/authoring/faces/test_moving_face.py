@@ -93,7 +93,7 @@ def test_teeth_are_separate_brighter_in_front_and_no_longer_than_crowns() -> Non
 
 
 def lit_by(white: float) -> float:
-    """How light the teeth are of somebody whose eyeballs are so light."""
+    """Return the brightness of the teeth for eyeballs of this brightness."""
     sh = bare().splats.sh.copy()
     ball = np.isin(bare().skin.joints[:, 0], [bare().skeleton.names.index(name) for name in EYES])
     assert ball.sum() > 5

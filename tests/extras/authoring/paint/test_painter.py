@@ -1,4 +1,4 @@
-"""Colours: what is seen is taken as it is, the light is found, and what nobody saw is guessed well."""
+"""Visible colours are kept, the light is found, and unseen colours are guessed well."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import match_to_front
 from glsplat.extras.authoring.paint.lamp import find_light
-from glsplat.extras.authoring.paint.painter import paint, painter_of
+from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb
@@ -60,7 +60,7 @@ def test_a_dark_picture_has_the_usual_lamp() -> None:
 def test_seen_points_have_the_pictures_colours() -> None:
     scene = photographed("front")
     points = some_points(scene)
-    painted = paint(scene.body, scene.shots, points)
+    painted = painter_of(scene.body, scene.shots, points).paint(points)
     seen = painted.visibility > 0.95
     assert 0.1 < seen.mean() < 0.5
     assert np.median(np.abs(painted.rgb - truth(scene, points))[seen].mean(axis=1)) < 0.01
@@ -97,7 +97,7 @@ def test_blocks_on_any_number_of_cores_are_the_whole(monkeypatch: pytest.MonkeyP
 def test_the_back_is_darker_cloth_not_bright_cloth() -> None:
     scene = photographed("front")
     points = some_points(scene)
-    painted = paint(scene.body, scene.shots, points)
+    painted = painter_of(scene.body, scene.shots, points).paint(points)
     back = (points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2] < -0.5) & (
         points.at(scene.mesh.vertices)[:, 1] < 0.8 * scene.mesh.vertices[:, 1].max()
     )
@@ -117,7 +117,7 @@ def paint_without_light(scene: Scene, points: SurfacePoints) -> np.ndarray:
 def test_a_picture_of_the_back_gives_its_colours() -> None:
     scene = photographed("front", "back")
     points = some_points(scene)
-    painted = paint(scene.body, scene.shots, points)
+    painted = painter_of(scene.body, scene.shots, points).paint(points)
     back = points.directions(scene.shots[0].normals)[:, 2] > 0.6
     assert painted.visibility[back].mean() > 0.8
     assert np.median(np.abs(painted.rgb - truth(scene, points))[back].mean(axis=1)) < 0.02
@@ -135,7 +135,7 @@ def test_no_face_on_the_back_of_the_head() -> None:
     green[y.min() : y.max() + 1, x.min() : x.max() + 1] = (0, 255, 0)
     shot = type(front)(green, front.mask, front.focal, front.view, front.mesh)
     points = some_points(scene)
-    painted = paint(scene.body, [shot], points)
+    painted = painter_of(scene.body, [shot], points).paint(points)
     where = points.at(vertices)
     behind = (where[:, 1] > head[1] - 0.05) & (where[:, 2] < head[2] - 0.02)
     greenness = painted.rgb[:, 1] - painted.rgb[:, [0, 2]].mean(axis=1)

@@ -1,4 +1,4 @@
-"""Cloth goes on where nobody looks: without prints, without the room, and as far up as straps go."""
+"""Cloth continues on unseen surface: without prints and background, and as far up as straps reach."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hair where nobody looks: it falls as long as in front, behind the neck, with locks of its own."""
+"""Unseen hair: as long as in front, behind the neck, and with locks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_long_hair_hangs_behind_the_neck_and_short_hair_does_not(monkeypatch: py
     moved = before[:, 2] - after[:, 2]
     assert moved[neck].max() > 0.02
     front = scene.shots[0].visibility > 0.5
-    assert moved[front].max() < 0.003  # what is seen stays
+    assert moved[front].max() < 0.003  # visible surface stays
     points = even_points(shot.mesh, 30_000)
     where = points.at(shot.mesh.vertices) / shot.mesh.vertices[:, 1].max()
     behind = points.directions(vertex_normals(shot.mesh.vertices, shot.mesh.faces))[:, 2] < -0.6

@@ -41,7 +41,7 @@ def test_a_forearm_across_the_middle_hides_some_parts() -> None:
 
 
 def test_a_side_seen_obliquely_does_not_count() -> None:
-    """Of somebody who has turned, the far side is a few grazing samples of one colour."""
+    """On a turned person, the far side has few oblique samples of one colour."""
     colour, row, across, look = garment(STRIPES)
     far = across < -0.5 + 1 / 7
     look[far] = GREEN

@@ -51,7 +51,7 @@ def test_without_known_pixels_nothing_changes() -> None:
 
 @pytest.mark.check
 def test_cloth_is_continued_only_where_the_body_is_behind_an_arm() -> None:
-    """The trunk ends beside the arm's tip; a thing over it hides it as an arm does, a thin rim of nobody's does not."""
+    """The trunk ends beside the arm's tip; a thing over it occludes it as an arm does, a thin foreign rim does not."""
     true, hole = cloth("stripes"), arm()
     there = np.zeros_like(hole)
     there[:, 30:130] = True

@@ -1,4 +1,4 @@
-"""An arm that hangs before the trunk is not printed on it, and what it hides is continued."""
+"""An arm in front of the trunk is not painted on it, and the cloth it hides is continued."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.body.segments import layer_of, segments_of, twins_across
-from glsplat.extras.authoring.paint.painter import paint
+from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.picture_layers.fill import centre_prints, fill_hole
 from glsplat.extras.authoring.paint.picture_layers.labels import NOTHING, labels_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -43,14 +43,14 @@ def crossing() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 def test_colours_correct_a_misplaced_arm() -> None:
     picture, mask, truth, segment = crossing()
-    nobody = np.zeros(mask.shape, bool)
-    label = labels_of(picture, mask, segment, nobody, nobody)
+    nothing = np.zeros(mask.shape, bool)
+    label = labels_of(picture, mask, segment, nothing, nothing)
     fitted = layer_of(segment) == 1
     right = (label == 1) & (truth == 1)
     assert right.sum() / ((label == 1) | (truth == 1)).sum() > 0.93
     assert (fitted & (truth == 1)).sum() / (fitted | (truth == 1)).sum() < 0.7  # the fit alone
     assert (label[~mask] == NOTHING).all()
-    assert np.array_equal(label, labels_of(picture, mask, segment, nobody, nobody))
+    assert np.array_equal(label, labels_of(picture, mask, segment, nothing, nothing))
 
 
 def test_an_arm_lies_along_its_bones_even_in_the_trunks_colour() -> None:
@@ -60,9 +60,11 @@ def test_an_arm_lies_along_its_bones_even_in_the_trunks_colour() -> None:
     picture[truth == 1] = picture[truth == 0][: (truth == 1).sum()]
     bones = np.full((2, 24, 2), np.nan)
     bones[0, :3] = (185, 80), (162, 170), (140, 260)
-    nobody = np.zeros(mask.shape, bool)
+    nothing = np.zeros(mask.shape, bool)
     far = cv2.distanceTransform((truth != 1).astype(np.uint8), cv2.DIST_L2, 3) > 12
-    spilt = [((labels_of(picture, mask, segment, nobody, nobody, told) == 1) & far).sum() for told in (None, bones)]
+    spilt = [
+        ((labels_of(picture, mask, segment, nothing, nothing, detected) == 1) & far).sum() for detected in (None, bones)
+    ]
     assert spilt[1] < 0.2 * spilt[0]
 
 
@@ -114,7 +116,7 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     assert (layer_of(segment)[twin] == np.array([0, 2, 1])[layer_of(segment)]).mean() > 0.99
     shot = FittedPicture(front.rgb, front.mask, front.focal, front.view, front.mesh, segment)
     points = even_points(scene.mesh, 1500)
-    plain, layered = (paint(scene.body, [each], points) for each in (front, shot))
+    plain, layered = (painter_of(scene.body, [each], points).paint(points) for each in (front, shot))
     close = layer_of(segment)[points.corners[:, 0]] == 0
     assert np.median(np.abs(plain.rgb - layered.rgb)[close]) < 0.01  # arms are away: nothing changes
     label = shot.picture_layers.label.copy()
@@ -126,9 +128,9 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     label[top:bottom, left:right] = 1
     hidden = replace(shot, rgb=rgb)
     hidden.picture_layers.__dict__["label"] = label
-    painted = paint(scene.body, [hidden], points).rgb
+    painted = painter_of(scene.body, [hidden], points).paint(points).rgb
     greenness = (painted[:, 1] - painted[:, [0, 2]].max(axis=1))[close]
-    printed = paint(scene.body, [replace(front, rgb=rgb)], points).rgb
+    printed = painter_of(scene.body, [replace(front, rgb=rgb)], points).paint(points).rgb
     assert (printed[:, 1] - printed[:, [0, 2]].max(axis=1))[close].max() > 0.3
     assert greenness.max() < 0.1
     assert not hidden.picture_layers.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
