@@ -28,7 +28,7 @@ from glsplat.extras.authoring.importers.on_smplx import on_smplx
 from glsplat.extras.authoring.importers.scans import read_obj_person
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.mesh_fit import STEPS, fitted_to_mesh
-from glsplat.extras.authoring.sample.surface import FEWEST, make_avatar
+from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar
 from glsplat.extras.formats.person import read_body
 from glsplat.extras.rigs.meshes.rig_map import read_rig_map
 from glsplat.formats import load_splats, save, suffixes
@@ -147,8 +147,8 @@ def _add_out(parser: argparse.ArgumentParser) -> None:
 def make(args: argparse.Namespace) -> int:
     """Make an avatar of a rigged person, with its levels, surface and cones."""
     check_name(args.out)
-    if args.splats < FEWEST:
-        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {args.splats}")
+    if args.splats < MIN_SPLATS:
+        raise FormatError(f"an avatar needs at least {MIN_SPLATS} splats, not {args.splats}")
     counts = counts_of(args.levels, args.splats)
     began = time.perf_counter()
     if args.body is None:
@@ -282,9 +282,9 @@ def counts_of(requested: Sequence[str] | None, splats: int) -> tuple[int, ...]:
     if list(requested) in (["none"], ["0"]):
         return ()
     counts = [int(word) if word.isascii() and word.isdigit() else 0 for word in requested]
-    if not counts or min(counts) < FEWEST or any(few >= many for many, few in pairwise((splats, *counts))):
+    if not counts or min(counts) < MIN_SPLATS or any(few >= many for many, few in pairwise((splats, *counts))):
         raise UsageError(
-            f"--levels needs falling numbers of splats below {splats}, none under {FEWEST}, or none; "
+            f"--levels needs falling numbers of splats below {splats}, none under {MIN_SPLATS}, or none; "
             f"not {' '.join(requested) or 'nothing'}"
         )
     return tuple(counts)

@@ -12,7 +12,7 @@ from glsplat.data import embedded_file
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, reduced
-from glsplat.extras.authoring.sample.surface import FEWEST
+from glsplat.extras.authoring.sample.surface import MIN_SPLATS
 from glsplat.formats import load_splats
 
 from ..args import natural
@@ -43,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
     avatar = load_splats(embedded_file(args.avatar))
     if not isinstance(avatar, Avatar):
         raise FormatError(f"{args.avatar}: has no skeleton; reduce is for avatars, glsplat avatar levels for scenes")
-    if not FEWEST <= args.splats < len(avatar.splats):
+    if not MIN_SPLATS <= args.splats < len(avatar.splats):
         raise FormatError(
-            f"{args.avatar}: has {len(avatar.splats)} splats; --splats needs {FEWEST} or more and fewer than that, "
+            f"{args.avatar}: has {len(avatar.splats)} splats; --splats needs {MIN_SPLATS} or more and fewer than that, "
             f"not {args.splats}"
         )
     config = FittedConfig(steps=args.steps, splats=min(args.splats, FittedConfig().splats))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from glsplat.extras.authoring.faces.blinks import BLINKS
+from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES
 from glsplat.meshes import RiggedMesh
 
 __all__ = ["even_lids", "lid_corners"]
@@ -23,7 +23,7 @@ _AROUND = 0.012  # metres from lids, where skin is that has their colour
 def lid_corners(mesh: RiggedMesh) -> NDArray[np.bool_]:
     """[V] which vertices are of lids: what a blink moves."""
     assert mesh.morphs is not None
-    far = sum(np.linalg.norm(mesh.morphs.dense(name, len(mesh.vertices)), axis=1) for name in BLINKS)
+    far = sum(np.linalg.norm(mesh.morphs.dense(name, len(mesh.vertices)), axis=1) for name in BLINK_SHAPES)
     return np.asarray(far > _LID * np.max(far))
 
 

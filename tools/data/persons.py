@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from apps.avatar.writing import progress_bar
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.open_face import match_open_body, with_expressions, with_mouth
-from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
-from glsplat.extras.authoring.faces.eyeballs import eyeballs, with_eyeballs
+from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES, closing_weight, with_blink
+from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs, with_eyeballs
 from glsplat.extras.authoring.faces.lashes_and_hair import with_brow_hairs, with_lashes, with_strands
-from glsplat.extras.authoring.faces.openings import openings
+from glsplat.extras.authoring.faces.openings import find_openings
 from glsplat.extras.authoring.finish.cones import with_cones, without_useless_cones
 from glsplat.extras.authoring.finish.levels import with_levels
 from glsplat.extras.authoring.geometry.nearest import nearest_on
@@ -136,8 +136,8 @@ def furnished(mesh: RiggedMesh, recipe: Recipe) -> tuple[RiggedMesh, float]:
     mesh = with_eyeballs(mesh, eyes, recipe.iris, white=recipe.white)
     same = np.concatenate([same, np.full(len(mesh.vertices) - count, -1)])
     mesh = with_mouth(with_expressions(mesh, same), same)
-    blink = float(np.mean([blink_that_shuts(mesh, eye) for eye in openings(mesh, eyeballs(mesh, *EYES))]))
-    return even_lids(with_blink(mesh, dict.fromkeys(BLINKS, blink)), recipe.lids, fair=recipe.fair), blink
+    blink = float(np.mean([closing_weight(mesh, eye) for eye in find_openings(mesh, fit_eyeballs(mesh, *EYES))]))
+    return even_lids(with_blink(mesh, dict.fromkeys(BLINK_SHAPES, blink)), recipe.lids, fair=recipe.fair), blink
 
 
 def raised_brows(mesh: RiggedMesh, part: MeshPart, inner: float, outer: float = 0.0) -> RiggedMesh:
@@ -245,7 +245,7 @@ def fitted_around(avatar: Avatar, mesh: RiggedMesh, progress: Callable[[str, flo
 def trimmed(avatar: Avatar, mesh: RiggedMesh, recipe: Recipe) -> Avatar:
     """Return the avatar with hairs on its brows, lashes, shadows under lids and catch lights."""
     avatar = with_brow_hairs(avatar, mesh, part_of(mesh, "eyebrow").name, BROWS)
-    return with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, *EYES)), length=recipe.lashes)
+    return with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, *EYES)), length=recipe.lashes)
 
 
 def part_of(mesh: RiggedMesh, word: str) -> MeshPart:

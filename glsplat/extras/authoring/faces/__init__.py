@@ -1,1 +1,1 @@
-"""Faces that move: eyeballs, lids, lashes, hair, teeth and the mouth."""
+"""Moving faces: eyeballs, lids, lashes, hair, teeth and the mouth."""

@@ -1,4 +1,4 @@
-"""What a lid that is shut looks like: the skin around the eye, continued, with a lid's own shading."""
+"""Colour closed lids: the skin around the eye, continued, with a lid's own shading."""
 
 from __future__ import annotations
 
@@ -10,103 +10,106 @@ from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening
+from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.splats import SH_C0, Splats
 
 __all__ = ["lid_colours"]
 
 F64 = NDArray[np.float64]
 
-_AROUND, _APART = 0.034, np.radians(8)  # metres from an eye's middle, and beyond the opening, where skin is looked for
-_NEAR = np.radians(20)  # beyond the opening, over which what is found there counts less and less
-_USUAL = 0.6  # of what lies around, darker than skin: brows, lashes, shade
-_ALIKE = 0.18  # of 1, from the middle colour of the rest, by which skin may differ
-_ROUNDS, _DOUBT, _LEAST = 8, 2.5, 0.012  # of the fit; standard deviations that are skin; one of those at least
-_FAIR = 3.0  # times as many where it is lighter: shade, lashes and brows are dark
-_RANGE = 0.95, 1.12  # of the skin's mean light, that a lid has: a quadratic runs away where nothing holds it
-_HUES = 0.94, 1.06  # the same of its hue
-_RUDDY = 1.06  # power of the hue: lids are thin
-_CREASE = 0.11, 0.0014, 0.0012  # how dark, metres above the opening, and how wide
-_EDGE = 0.10, 0.0012  # how dark the skin is at the lashes, and over how many metres
-_CORNERS = 0.04  # how dark towards both corners
-_BLEND = np.radians((5, 13))  # beyond the opening, over which a lid becomes as light as what is there ...
-_SHADE = 0.8, 1.05  # ... by so much at most: brows are there, too
+_SEARCH_RADIUS_M, _MIN_GAP_RAD = 0.034, np.radians(8)  # around an eye's middle; beyond its opening
+_FALLOFF_RAD = np.radians(20)  # of a sample's weight, beyond the opening
+_DARK_QUANTILE = 0.6  # of the samples that are darker than skin: brows, lashes, shade
+_MAX_SKIN_DISTANCE = 0.18  # sRGB, from the median of the brighter samples
+_FIT_ROUNDS = 8
+_OUTLIER_SIGMAS, _MIN_SIGMA = 2.5, 0.012  # of brightness
+_BRIGHT_FACTOR = 3.0  # on the sigma of brighter samples, since shade, lashes and brows are dark
+_LIGHT_RANGE = 0.95, 1.12  # of a lid over the mean: a quadratic may run away where it has no samples
+_HUE_RANGE = 0.94, 1.06
+_LID_HUE_POWER = 1.06  # lids are thin, so blood shows
+_CREASE_DEPTH, _CREASE_ABOVE_M, _CREASE_SIGMA_M = 0.11, 0.0014, 0.0012  # darkening; above the opening; width
+_LASH_EDGE_DEPTH, _LASH_EDGE_M = 0.10, 0.0012  # darkening at the lashes, and its reach
+_CORNER_DEPTH, _CORNER_RAD, _CORNER_FADE_RAD = 0.04, np.radians(10), np.radians(12)  # darkening at both corners
+_BLEND_RAD = np.radians((5, 13))  # beyond the opening: a lid takes the brightness of its surroundings ...
+_BLEND_RANGE = 0.8, 1.05  # ... within these factors, because of brows
 _NEIGHBOURS = 6
 
 
-class _SkinAbout(NamedTuple):
-    """The skin around an eye, as if brows, lashes, glasses and the eye itself were not there."""
+class _SkinModel(NamedTuple):
+    """The skin around an eye, without brows, lashes, glasses and the eye itself."""
 
     ball: Eyeball
-    light: F64  # [6] of a quadratic of x and y
-    hue: F64  # [3, 3] of a plane: red, green and blue, in shares of their mean
+    light: F64  # [6] of a quadratic in x and y
+    hue: F64  # [3, 3] of a plane: red, green and blue over their mean
     usual_hue: F64  # [3]
-    usual: float  # light in the middle
+    usual: float  # light at the middle
 
-    def at(self, ways: F64, ruddy: float = 1.0) -> F64:
-        """[N, 3] sRGB in ways [N, 3] metres from the eye's middle; ``ruddy`` is a power of its hue."""
-        terms = _terms(ways, self.ball)
-        hue = (self.usual_hue * (terms[:, :3] @ self.hue / self.usual_hue).clip(*_HUES)) ** ruddy
-        light = (terms @ self.light).clip(self.usual * _RANGE[0], self.usual * _RANGE[1])
+    def at(self, offsets: F64, hue_power: float = 1.0) -> F64:
+        """Return [N, 3] sRGB at ``offsets`` [N, 3], metres from the eye's middle; ``hue_power`` deepens the hue."""
+        terms = _terms(offsets, self.ball)
+        hue = (self.usual_hue * (terms[:, :3] @ self.hue / self.usual_hue).clip(*_HUE_RANGE)) ** hue_power
+        light = (terms @ self.light).clip(self.usual * _LIGHT_RANGE[0], self.usual * _LIGHT_RANGE[1])
         return np.asarray(light[:, None] * hue / hue.mean(axis=1, keepdims=True))
 
 
 def lid_colours(splats: Splats, places: F64, eye: Opening) -> F64:
-    """[N, 3] sRGB at ``places`` [N, 3] of the lid that shuts before an ``eye``; grey where ``splats`` show no skin."""
-    here = places - eye.ball.centre
-    skin, shaded = _skin_about(splats, eye), _shading(here, *eye)[:, None]
+    """Return [N, 3] sRGB at ``places`` [N, 3] of the closed lid of ``eye``; grey where ``splats`` show no skin."""
+    offsets = places - eye.ball.centre
+    skin, shaded = _fit_skin(splats, eye), _lid_shading(offsets, *eye)[:, None]
     if skin is None:
         return np.full((len(places), 3), 0.5) * shaded
-    rgb = skin.at(here, _RUDDY) * shaded
-    share = ((eye.edges.beyond(here) - _BLEND[0]) / (_BLEND[1] - _BLEND[0])).clip(0, 1)[:, None]
+    rgb = skin.at(offsets, _LID_HUE_POWER) * shaded
+    share = ramp(eye.edges.beyond(offsets), *_BLEND_RAD)[:, None]
     _, nearest = cKDTree(np.where(splats.finite()[:, None], splats.means, 0)).query(places, k=_NEIGHBOURS)
     around = (splats.sh[nearest, 0].astype(np.float64) * SH_C0 + 0.5).mean(axis=(1, 2))[:, None]
-    light = (around / rgb.mean(axis=1, keepdims=True)).clip(*_SHADE)
+    light = (around / rgb.mean(axis=1, keepdims=True)).clip(*_BLEND_RANGE)
     return np.asarray((rgb * (1 + share * (light - 1))).clip(0, 1))
 
 
-def _skin_about(splats: Splats, eye: Opening) -> _SkinAbout | None:
-    """By iteratively reweighted least squares (Tukey's biweight: Beaton and Tukey 1974); None where no skin is seen."""
+def _fit_skin(splats: Splats, eye: Opening) -> _SkinModel | None:
+    """Return the skin model, or None without visible skin.
+
+    By iteratively reweighted least squares (Tukey's biweight: Beaton and Tukey 1974).
+    """
     ball, edges = eye
-    rgb, ways = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, splats.means.astype(np.float64) - ball.centre
-    about = (np.linalg.norm(ways, axis=1) < _AROUND) & (ways[:, 2] > 0) & splats.finite()
-    beyond = np.zeros(len(ways))
-    beyond[about] = edges.beyond(ways[about])
-    about &= (beyond > _APART) & (np.linalg.norm(ways, axis=1) > ball.radius)
+    rgb, offsets = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, splats.means.astype(np.float64) - ball.centre
+    about = (np.linalg.norm(offsets, axis=1) < _SEARCH_RADIUS_M) & (offsets[:, 2] > 0) & splats.finite()
+    beyond = np.zeros(len(offsets))
+    beyond[about] = edges.beyond(offsets[about])
+    about &= (beyond > _MIN_GAP_RAD) & (np.linalg.norm(offsets, axis=1) > ball.radius)
     if not about.any():
         return None
-    found, at, close = rgb[about], ways[about], np.exp(-beyond[about] / _NEAR)
-    light = found.mean(axis=1)
-    hue = np.median(found[light >= np.quantile(light, _USUAL)], axis=0).clip(1e-3)
-    off = np.linalg.norm(found - hue, axis=1)
-    alike = off <= max(_ALIKE, off.min())
-    found, at, light, close = found[alike], at[alike], light[alike], close[alike]
-    sure, terms = np.ones(len(at)), _terms(at, ball)
-    bent = 1e-3 * len(at) * np.diag([1e-6, 0.1, 0.1, 1, 1, 1])  # where skin is seen on one side alone, nothing bends
-    for _ in range(_ROUNDS):
-        held = terms * (sure * close)[:, None]
-        solved = np.linalg.solve(held.T @ terms + bent, held.T @ light)
-        rest = light - terms @ solved
-        spread = max(float(np.median(np.abs(rest))), _LEAST) * np.where(rest < 0, 1, _FAIR)
-        sure = (1 - (rest / (_DOUBT * spread)) ** 2).clip(1e-3, 1) ** 2
-    shares, plane = found / light[:, None].clip(_LEAST), terms[:, :3] * (sure * close)[:, None]
-    even = 1e-2 * len(at) * np.diag([1e-6, 1, 1])
-    hues = np.linalg.solve(plane.T @ terms[:, :3] + even, plane.T @ shares)
-    return _SkinAbout(ball, solved, hues, hue / hue.mean(), float(np.average(light, weights=sure)))
+    samples, at, falloff = rgb[about], offsets[about], np.exp(-beyond[about] / _FALLOFF_RAD)
+    light = samples.mean(axis=1)
+    hue = np.median(samples[light >= np.quantile(light, _DARK_QUANTILE)], axis=0).clip(1e-3)
+    difference = np.linalg.norm(samples - hue, axis=1)
+    skin_like = difference <= max(_MAX_SKIN_DISTANCE, difference.min())
+    samples, at, light, falloff = samples[skin_like], at[skin_like], light[skin_like], falloff[skin_like]
+    weights, terms = np.ones(len(at)), _terms(at, ball)
+    light_penalty = 1e-3 * len(at) * np.diag([1e-6, 0.1, 0.1, 1, 1, 1])  # keeps the fit flat with skin on one side only
+    for _ in range(_FIT_ROUNDS):
+        weighted = terms * (weights * falloff)[:, None]
+        solved = np.linalg.solve(weighted.T @ terms + light_penalty, weighted.T @ light)
+        residual = light - terms @ solved
+        spread = max(float(np.median(np.abs(residual))), _MIN_SIGMA) * np.where(residual < 0, 1, _BRIGHT_FACTOR)
+        weights = (1 - (residual / (_OUTLIER_SIGMAS * spread)) ** 2).clip(1e-3, 1) ** 2
+    shares, plane = samples / light[:, None].clip(_MIN_SIGMA), terms[:, :3] * (weights * falloff)[:, None]
+    hue_penalty = 1e-2 * len(at) * np.diag([1e-6, 1, 1])
+    hues = np.linalg.solve(plane.T @ terms[:, :3] + hue_penalty, plane.T @ shares)
+    return _SkinModel(ball, solved, hues, hue / hue.mean(), float(np.average(light, weights=weights)))
 
 
-def _terms(ways: F64, ball: Eyeball) -> F64:
-    """[N, 6] the terms of a quadratic of x and y, in radii of the eye."""
-    x, y = (ways[:, :2] / ball.radius).T
+def _terms(offsets: F64, ball: Eyeball) -> F64:
+    """Return [N, 6] the terms of a quadratic in x and y, in radii of the eye."""
+    x, y = (offsets[:, :2] / ball.radius).T
     return np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], axis=1)
 
 
-def _shading(ways: F64, ball: Eyeball, edges: LidEdges) -> F64:
-    """[N] of the skin's light, what is left on a lid: less in the crease above it, at its lashes and in the corners."""
-    low, high, aside = edges.above(ways)
-    far = np.linalg.norm(ways, axis=1)
-    dark, up, wide = _CREASE
-    inside = (-aside / np.radians(12)).clip(0, 1)
-    crease = dark * np.exp(-0.5 * ((high * far - up) / wide) ** 2)
-    edge, over = _EDGE
-    lashes = edge * np.exp(-np.abs(low * far) / over)
-    return np.asarray(1 - inside * (crease + lashes) - _CORNERS * np.exp(-((aside / np.radians(10)) ** 2)))
+def _lid_shading(offsets: F64, ball: Eyeball, edges: LidEdges) -> F64:
+    """Return [N] a lid's light over the skin's: darker in the crease, at the lashes and in the corners."""
+    low, high, aside = edges.above(offsets)
+    radius = np.linalg.norm(offsets, axis=1)
+    inside = (-aside / _CORNER_FADE_RAD).clip(0, 1)
+    crease = _CREASE_DEPTH * np.exp(-0.5 * ((high * radius - _CREASE_ABOVE_M) / _CREASE_SIGMA_M) ** 2)
+    lashes = _LASH_EDGE_DEPTH * np.exp(-np.abs(low * radius) / _LASH_EDGE_M)
+    return np.asarray(1 - inside * (crease + lashes) - _CORNER_DEPTH * np.exp(-((aside / _CORNER_RAD) ** 2)))

@@ -1,8 +1,8 @@
-"""Upper lids in the skin's colours, which photographs of open eyes do not show.
+"""Add upper lids in the skin's colours, which photographs of open eyes do not show.
 
-They are tiled as they lie when the eye is shut. With the eye open they are small and lie folded behind the lid that the
-photograph shows; as they come down they grow and come before the eye, and what the photograph painted there draws back
-behind them, since a fit that is a millimetre off has painted lids with eyes and lashes.
+They are tiled as they lie when the eye is closed. With the eye open they are small and lie folded behind the
+photographed lid. As they come down they grow and come before the eye. The photograph's own splats there retreat behind
+them, since a fit that is a millimetre off has painted lids with eyes and lashes.
 """
 
 from __future__ import annotations
@@ -17,12 +17,19 @@ from trimesh.triangles import points_to_barycentric
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import map_threads
-from glsplat.extras.authoring.faces.blinks import BLINKS, blink_of
+from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES, blink_shape_of
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
-from glsplat.extras.authoring.faces.lashes_and_hair import LASH, Extra, added, frames, joined
+from glsplat.extras.authoring.faces.lashes_and_hair import (
+    LASH_RGB,
+    ExtraSplats,
+    add_splats,
+    axes_along,
+    merge_avatars,
+)
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
@@ -36,70 +43,68 @@ F64 = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
 _SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=0)  # nothing hides a lid
-_SPLATS = 240  # of a lid
-_SOLID, _MARGIN = np.radians(7), np.radians(14)  # beyond the opening, up to which a lid is solid, and where it ends
-_BEHIND, _BEFORE, _GONE = 0.0045, 0.0012, 0.003  # metres from the lid's surface: at rest, shut, and what it covers
-_AWAY = 0.10  # radians by which they are folded away from the opening at its edges ...
-_RIM = np.radians(8)  # ... over which it becomes less
-_OFF = 0.82  # radii of the eye that they keep from its middle: where a ball comes through lids it hides them
-_LARGER = 1.7  # times as large as they lie, so that they leave no gaps
-_GROWS = 2.5  # times its size at rest that a splat grows by
-_SHRINKS = 0.7  # of its size, what it covers
-_TURNED = 1.7  # of the way that lashes stand up, by which they turn down
-_CARRIED = 0.0025  # metres that lashes come forward, to be before the lid
-_COVERS = 0.85  # how solid it is where that begins
-_BENT, _TAUT = round(0.8 / BEND), round(1.5 / BEND)  # how far splats stretch: those on lids have the eye's colours in
-# part, and smear; those in a mouth become strings
-_STIRRED = 0.002  # metres that a blink moves what lies on a lid
-_PUT_OUT = 0.006  # metres ahead: a tongue's, which stretches as little
-_LEAST = 1e-4  # metres; what moves a splat less is left out
-_FEWEST = 8
-_AROUND = 0.027  # metres from an eye's middle, as far as lids reach
-_THIN, _ALONG, _EVEN = 0.0006, 0.9, 9  # of the lash line: metres, steps along it, steps that it is smoothed over
-_FORE, _LASHED, _DARK = 0.0042, 0.9, 0.9  # metres from the lid, opacity, and how far it has the colour of lashes
+_LID_SPLATS = 240
+_OPAQUE_RAD, _MAX_BEYOND_RAD = np.radians(7), np.radians(14)  # beyond the opening: a lid starts to fade, and ends
+_FOLD_DEPTH_M, _LID_LIFT_M = 0.0045, 0.0012  # behind the lid's surface at rest; before it when closed
+_FOLD_RAD, _FOLD_FALLOFF_RAD = 0.10, np.radians(8)  # away from the edges of the opening; over which it fades
+_MIN_RADIUS_FACTOR = 0.82  # of the eyeball; an eyeball that pokes through lids hides them
+_GAP_FACTOR = 1.7  # on the size of a lid's splats, so that they leave no gaps
+_GROWTH = 2.5  # of a lid's splat in a blink, in sizes at rest
+_COVERED_RETREAT_M, _COVERED_SHRINK = 0.003, 0.7  # of splats behind a closing lid; of their size
+_COVERED_OPACITY = 0.85  # of the lid, where these begin
+_LASH_TURN_FACTOR, _LASH_LIFT_M = 1.7, 0.0025  # lashes turn down by this over their height, and come before the lid
+# how far splats stretch: those on lids have the eye's colours in part, and smear; those in a mouth become strings
+_MAX_LID_BEND, _MAX_BEND = round(0.8 / BEND), round(1.5 / BEND)
+_MIN_BLINK_M, _MIN_TONGUE_M = 0.002, 0.006  # movement of splats on a lid in a blink, and of a tongue put out
+_MIN_MOVE_M = 1e-4  # smaller moves are dropped
+_MIN_TRIANGLES = 8
+_LID_RADIUS_M = 0.027  # around an eye's middle
+_LINE_SIGMA_M, _LINE_SIGMA_STEPS, _LINE_SMOOTHING_STEPS = 0.0006, 0.9, 9  # of the lash line: across, along
+_LINE_LIFT_M, _LINE_OPACITY, _LINE_DARKNESS = 0.0042, 0.9, 0.9  # before the lid; weight of the lashes' colour
 
 
 def with_lids(avatar: Avatar, face: RiggedMesh, eyes: Sequence[Opening], lashes: range, seed: int = 0) -> Avatar:
-    """The avatar, which was made on ``face`` and has its expressions, with a lid that closes for each of the ``eyes``.
+    """Return the avatar, made on ``face`` with its expressions, with a closing lid for each of the ``eyes``.
 
-    Other splats keep their places at rest; on lids they stretch less, and give way to the lid that closes, but for the
+    Other splats keep their places at rest. On lids they stretch less, and retreat from the closing lid, except the
     ``lashes``, which come before it.
     """
     shapes = avatar.shapes
     assert shapes is not None and face.morphs is not None
-    blinks = [shapes.names.index(name) for name in BLINKS]
-    blinking = np.isin(shapes.targets, blinks) & (np.linalg.norm(shapes.metres, axis=1) > _STIRRED)
+    blinks = [shapes.names.index(name) for name in BLINK_SHAPES]
+    blinking = np.isin(shapes.targets, blinks) & (np.linalg.norm(shapes.metres, axis=1) > _MIN_BLINK_M)
     on_lids = np.isin(shapes.rows, shapes.rows[blinking])[:, None, None]
-    out = (shapes.targets == shapes.names.index("tongueOut")) & (shapes.metres[:, 2] > _PUT_OUT)
-    most = np.where(on_lids | out[:, None, None], _BENT, _TAUT)
+    tongue_out = (shapes.targets == shapes.names.index("tongueOut")) & (shapes.metres[:, 2] > _MIN_TONGUE_M)
+    most = np.where(on_lids | tongue_out[:, None, None], _MAX_LID_BEND, _MAX_BEND)
     made = replace(avatar, shapes=replace(shapes, bends=np.clip(shapes.bends, -most, most).astype(shapes.bends.dtype)))
     lids = map_threads(lambda eye: _lid(avatar, face, eye.ball, eye.edges, seed), eyes)
     for (ball, edges), lid in zip(eyes, lids, strict=True):
         if lid is not None:
-            made = joined(replace(made, shapes=_gone(made, ball, edges, lashes)), lid)
+            made = merge_avatars(replace(made, shapes=_shapes_behind_lid(made, ball, edges, lashes)), lid)
     return made
 
 
-def _gone(avatar: Avatar, ball: Eyeball, edges: LidEdges, lashes: range) -> Shapes:
-    """The avatar's shapes, in which what lies where the lid will be draws back and shrinks as it closes."""
+def _shapes_behind_lid(avatar: Avatar, ball: Eyeball, edges: LidEdges, lashes: range) -> Shapes:
+    """Return the avatar's shapes, in which splats retreat and shrink behind the lid as it closes."""
     shapes, splats = avatar.shapes, avatar.splats
     assert shapes is not None
-    blink = shapes.names.index(blink_of(ball))
+    blink = shapes.names.index(blink_shape_of(ball))
     mine = shapes.targets == blink
     move, bend = np.zeros((len(splats), 3)), np.zeros((len(splats), 2, 3))
     move[shapes.rows[mine]], bend[shapes.rows[mine]] = shapes.metres[mine], shapes.bends[mine] * BEND
     there = splats.means.astype(np.float64) - ball.centre + move
-    near = splats.finite() & (np.linalg.norm(there, axis=1) < _AROUND) & (there[:, 2] > 0)
+    near = splats.finite() & (np.linalg.norm(there, axis=1) < _LID_RADIUS_M) & (there[:, 2] > 0)
     share = np.zeros((len(splats), 1))
-    share[near, 0] = ((_solid(there[near], edges) - _COVERS) / (1 - _COVERS)).clip(0, 1)
+    share[near, 0] = ramp(_lid_opacity(there[near], edges), _COVERED_OPACITY, 1)
     share[lashes] = 0
-    move -= _GONE * share * unit_vectors(there)
-    carried = np.flatnonzero(np.isin(np.arange(len(splats)), lashes) & (move[:, 1] < -_STIRRED) & near)
-    upwards = there[carried] - move[carried]  # at rest
-    upwards = edges.above(upwards)[1] * np.linalg.norm(upwards, axis=1)
-    move[carried] += _CARRIED * unit_vectors(there[carried]) - _TURNED * upwards.clip(0)[:, None] * (0, 1, 0)
-    bend[carried] = -_TURNED * _long_ones(splats)[carried] * (0, 1, 0)
-    bend -= share[:, :, None] * (bend + _SHRINKS * _long_ones(splats))
+    move -= _COVERED_RETREAT_M * share * unit_vectors(there)
+    moving_lashes = np.flatnonzero(np.isin(np.arange(len(splats)), lashes) & (move[:, 1] < -_MIN_BLINK_M) & near)
+    height = there[moving_lashes] - move[moving_lashes]  # at rest
+    height = edges.above(height)[1] * np.linalg.norm(height, axis=1)
+    drop = _LASH_TURN_FACTOR * height.clip(0)[:, None]
+    move[moving_lashes] += _LASH_LIFT_M * unit_vectors(there[moving_lashes]) - drop * (0, 1, 0)
+    bend[moving_lashes] = -_LASH_TURN_FACTOR * _long_axes(splats)[moving_lashes] * (0, 1, 0)
+    bend -= share[:, :, None] * (bend + _COVERED_SHRINK * _long_axes(splats))
     moved = np.flatnonzero((share[:, 0] > 0) | np.isin(np.arange(len(splats)), shapes.rows[mine]))
     return Shapes.create(
         shapes.names,
@@ -113,85 +118,88 @@ def _gone(avatar: Avatar, ball: Eyeball, edges: LidEdges, lashes: range) -> Shap
 
 
 def _lid(avatar: Avatar, face: RiggedMesh, ball: Eyeball, edges: LidEdges, seed: int) -> Avatar | None:
-    """The lid before ``ball``, which has ``edges`` at rest; None where nothing comes before it."""
+    """Return the lid before ``ball``, with ``edges`` at rest; None where no skin comes before the eye."""
     assert face.morphs is not None
-    closes = face.morphs.dense(blink_of(ball), len(face.vertices))
+    closes = face.morphs.dense(blink_shape_of(ball), len(face.vertices))
     shut = face.vertices + closes
     corners = shut[face.faces] - ball.centre
     outward = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners[:, 0]).sum(axis=1) > 0
     skin = face.joints[face.faces[:, 0], 0] != face.skeleton.names.index(ball.joint)
     middle = corners.mean(axis=1)
-    near = (np.linalg.norm(corners, axis=2) < _AROUND).all(axis=1) & (middle[:, 2] > 0)
-    mine = face.faces[near & skin & outward & (edges.beyond(middle) < _MARGIN)]
-    if len(mine) < _FEWEST:
+    near = (np.linalg.norm(corners, axis=2) < _LID_RADIUS_M).all(axis=1) & (middle[:, 2] > 0)
+    mine = face.faces[near & skin & outward & (edges.beyond(middle) < _MAX_BEYOND_RAD)]
+    if len(mine) < _MIN_TRIANGLES:
         return None
     part = MeshPart("lid", mine, np.full((len(mine), 3, 2), 0.5), np.full((2, 2, 4), 255, np.uint8))
     closed = replace(face, vertices=shut, morphs=None)
-    lid = make_avatar(replace(closed, parts=(part,)), _SPLATS, seed, _SAMPLER)
+    lid = make_avatar(replace(closed, parts=(part,)), _LID_SPLATS, seed, _SAMPLER)
     there, count = lid.splats.means.astype(np.float64), len(lid.splats)
     _, _, which, bary = nearest_on(shut, mine, there)
     edge = face.faces[edges.upper_face]
     along = np.nan_to_num(points_to_barycentric(face.vertices[edge], edges.upper_at), nan=1 / 3).clip(0, 1)
-    line = _line(ball, edges.upper_at + np.einsum("nk,nkc->nc", along, closes[edge]), edges)
-    lid = added(lid, closed, line)
+    line = _lash_line(ball, edges.upper_at + np.einsum("nk,nkc->nc", along, closes[edge]), edges)
+    lid = add_splats(lid, closed, line)
 
     rgb = lid_colours(avatar.splats, lid.splats.means.astype(np.float64), Opening(ball, edges))
-    rgb[count:] += _DARK * (line.rgb - rgb[count:])
+    rgb[count:] += _LINE_DARKNESS * (line.rgb - rgb[count:])
     solid = lid.splats.opacities.astype(np.float64)
-    solid[:count] *= _solid(there - ball.centre, edges)
-    scales = lid.splats.scales * np.where(np.arange(len(lid.splats)) < count, _LARGER, 1)[:, None]
+    solid[:count] *= _lid_opacity(there - ball.centre, edges)
+    scales = lid.splats.scales * np.where(np.arange(len(lid.splats)) < count, _GAP_FACTOR, 1)[:, None]
     quats, smooth = lid.splats.quats, avatar.splats.antialias
     splats = Splats.create(lid.splats.means, quats, scales, solid, rgb=rgb, antialias=smooth)
-    ends = np.linspace(-1, 1, len(line.means)) ** 4  # at the corners lashes lie close
-    before = np.concatenate([np.full(count, _BEFORE), _FORE + ends * (_BEFORE - _FORE)])[:, None]
+    ends = np.linspace(-1, 1, len(line.means)) ** 4  # lashes lie close at the corners
+    before = np.concatenate([np.full(count, _LID_LIFT_M), _LINE_LIFT_M + ends * (_LID_LIFT_M - _LINE_LIFT_M)])[:, None]
     where = np.concatenate([bary, along])[:, :, None], np.concatenate([mine[which], edge])
-    return _folded(replace(lid, splats=splats), face, Opening(ball, edges), where, before)
+    return _fold_away(replace(lid, splats=splats), face, Opening(ball, edges), where, before)
 
 
-def _line(ball: Eyeball, places: F64, edges: LidEdges) -> Extra:
-    """Lashes of the lid that is shut, close together: dark splats along its edge, which is at ``places`` [K, 3].
+def _lash_line(ball: Eyeball, places: F64, edges: LidEdges) -> ExtraSplats:
+    """Return lashes of the closed lid, close together: dark splats along its edge at ``places`` [K, 3].
 
-    Nowhere below the lower lid's edge, nor behind it: at its corners a lid may close too far.
+    They stay above and before the lower lid's edge: at its corners a lid may close too far.
     """
     above = np.maximum(edges.above(places - ball.centre)[0], 0) + edges.lower
     far = np.maximum(*(np.linalg.norm(at - ball.centre, axis=1) for at in (places, edges.lower_at)))
-    smooth = uniform_filter1d(directions(edges.side, above) * far[:, None], _EVEN, axis=0, mode="nearest")
+    edge = directions(edges.side, above) * far[:, None]
+    smooth = uniform_filter1d(edge, _LINE_SMOOTHING_STEPS, axis=0, mode="nearest")
     step = np.gradient(smooth, axis=0)
     middle = np.abs(np.linspace(-1, 1, len(places)))
-    long = _ALONG * np.linalg.norm(step, axis=1)
-    scales = np.stack([long, _THIN * (1 - 0.5 * middle), np.full(len(places), 0.3 * _THIN)], axis=1)
-    colours = np.tile(LASH, (len(places), 1))
-    solid = _LASHED * (1 - 0.85 * middle**2)
-    return Extra(ball.centre + smooth, frames(step, smooth), scales, solid, colours, edges.upper_face)
+    long = _LINE_SIGMA_STEPS * np.linalg.norm(step, axis=1)
+    scales = np.stack([long, _LINE_SIGMA_M * (1 - 0.5 * middle), np.full(len(places), 0.3 * _LINE_SIGMA_M)], axis=1)
+    colours = np.tile(LASH_RGB, (len(places), 1))
+    solid = _LINE_OPACITY * (1 - 0.85 * middle**2)
+    return ExtraSplats(ball.centre + smooth, axes_along(step, smooth), scales, solid, colours, edges.upper_face)
 
 
-def _folded(lid: Avatar, face: RiggedMesh, eye: Opening, where: tuple[F64, Indices], before: F64) -> Avatar:
-    """The ``lid`` as it lies shut, folded away below the one that the photograph shows, with shapes that close it.
+def _fold_away(lid: Avatar, face: RiggedMesh, eye: Opening, where: tuple[F64, Indices], before: F64) -> Avatar:
+    """Return the closed ``lid`` folded away below the photographed one, with shapes that close it.
 
-    ``where`` its splats are on ``face``: barycentric coordinates [N, 3, 1] of corners [N, 3]; ``before`` [N, 1] metres
-    that they come before it.
+    ``where`` gives its splats' places on ``face``: barycentric coordinates [N, 3, 1] of corners [N, 3]; ``before`` [N,
+    1] is their distance before it, metres.
     """
     assert face.morphs is not None
     (ball, edges), (bary, corners) = eye, where
     splats, there = lid.splats, lid.splats.means.astype(np.float64) - ball.centre
     names, count = face.morphs.names, len(face.vertices)
-    blink = names.index(blink_of(ball))
+    blink = names.index(blink_shape_of(ball))
     moved = np.stack([(bary * face.morphs.dense(name, count)[corners]).sum(axis=1) for name in names])
     closes = moved[blink]
     rest = there - closes
     low, high, _ = edges.above(rest)
-    aside = np.where(low + high > 0, 1, -1) * _AWAY * np.exp(-np.minimum(np.abs(low), np.abs(high)) / _RIM)
+    fold = _FOLD_RAD * np.exp(-np.minimum(np.abs(low), np.abs(high)) / _FOLD_FALLOFF_RAD)
+    aside = np.where(low + high > 0, fold, -fold)
     hidden = unit_vectors(unit_vectors(rest) + aside[:, None] * (0, 1, 0))
-    folded = np.maximum(np.linalg.norm(rest, axis=1, keepdims=True) - _BEHIND, _OFF * ball.radius) * hidden
+    depth = np.linalg.norm(rest, axis=1, keepdims=True) - _FOLD_DEPTH_M
+    folded = np.maximum(depth, _MIN_RADIUS_FACTOR * ball.radius) * hidden
     comes = there + before * unit_vectors(there) - folded
     share = ((moved * comes).sum(axis=2) / np.maximum((comes**2).sum(axis=1), 1e-12)).clip(0, 1)[:, :, None]
     share[blink] = 1
     moved = moved + share * (comes - closes)
-    targets, rows = np.nonzero(np.linalg.norm(moved, axis=2) > _LEAST)
-    bends = _GROWS * share[targets, rows][:, :, None] * _long_ones(splats)[rows]
+    targets, rows = np.nonzero(np.linalg.norm(moved, axis=2) > _MIN_MOVE_M)
+    bends = _GROWTH * share[targets, rows][:, :, None] * _long_axes(splats)[rows]
     shapes = Shapes.create(names, len(there), splats=rows, targets=targets, moves=moved[targets, rows], bends=bends)
     scales, order = splats.scales.astype(np.float64), long_axes(splats.scales)[:, :2]
-    small = np.take_along_axis(scales, order, axis=1) / (1 + _GROWS)
+    small = np.take_along_axis(scales, order, axis=1) / (1 + _GROWTH)
     scales[:] = 0.3 * small.min(axis=1, keepdims=True)
     np.put_along_axis(scales, order, small, axis=1)
     at, rgb = ball.centre + folded, splats.sh[:, 0] * SH_C0 + 0.5
@@ -199,13 +207,12 @@ def _folded(lid: Avatar, face: RiggedMesh, eye: Opening, where: tuple[F64, Indic
     return replace(lid, splats=made, shapes=shapes)
 
 
-def _solid(ways: F64, edges: LidEdges) -> F64:
-    """[N] how solid a lid is in ways [N, 3] from the middle of the eye: 1 before the opening, 0 well beyond it."""
-    part = ((_MARGIN - edges.beyond(ways)) / (_MARGIN - _SOLID)).clip(0, 1)
-    return np.asarray(part * part * (3 - 2 * part))
+def _lid_opacity(offsets: F64, edges: LidEdges) -> F64:
+    """Return [N] a lid's opacity at ``offsets`` [N, 3] from the eye's middle: 1 at the opening, 0 well beyond."""
+    return smoothstep(edges.beyond(offsets), _MAX_BEYOND_RAD, _OPAQUE_RAD)
 
 
-def _long_ones(splats: Splats) -> F64:
-    """[N, 2, 3] the two long axes."""
+def _long_axes(splats: Splats) -> F64:
+    """Return [N, 2, 3] the two long axes."""
     axes = quaternion_matrices(np.where(splats.finite()[:, None], splats.quats, (1, 0, 0, 0)).astype(np.float64))
     return np.take_along_axis(axes, long_axes(splats.scales)[:, None, :2], axis=2).transpose(0, 2, 1)

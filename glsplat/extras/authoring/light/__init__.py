@@ -1,1 +1,1 @@
-"""What light falls on: normals and occlusion of an avatar's splats, and the light that photographs hold already."""
+"""Normals and occlusion of an avatar's splats, and the light that photographs hold already."""

@@ -13,7 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.optimize.colour_fit import fit_colours
-from glsplat.extras.authoring.paint.bake import Colours, baked
+from glsplat.extras.authoring.paint.bake import Colours, bake
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -52,7 +52,7 @@ def fitted_to_photos(
     from glsplat.extras.authoring.optimize.target_pictures import pictures_of
 
     progress("painting the body", 0.0)
-    truth = baked(mesh, colours, texture)
+    truth = bake(mesh, colours, texture)
     pictures = pictures_of(truth, seed, progress=progress)
     photographs = [_picture(avatar, shot) for shot in shots]
     pictures += photographs * max(1, _PHOTO_REPEATS // len(photographs))

@@ -1,1 +1,1 @@
-"""The colours of a fitted body: seen in pictures, and guessed where no picture looks."""
+"""Colours of a fitted body: visible in pictures, and guessed where no picture looks."""

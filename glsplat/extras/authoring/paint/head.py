@@ -1,4 +1,4 @@
-"""The back of a head: hair and hats as they are seen beside the face, and below them the skin of the neck."""
+"""Colour the back of a head: hair and hats as seen beside the face, and the neck's skin below them."""
 
 from __future__ import annotations
 
@@ -13,53 +13,57 @@ from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.strands import Strands, strands_of
 from glsplat.extras.authoring.paint.lamp import Lamp
-from glsplat.extras.authoring.paint.smooth import smoothest
+from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head", "ears_of"]
+__all__ = ["BackOfHead", "back_of_head", "vertices_of"]
 
 F64 = NDArray[np.float64]
 
-_CROWN = 0.12  # share of the head's height that hair is taken from
-_NAPE = 0.2  # share of the head's height below which short hair ends
-_STEP = 0.015  # metres of height in which hair and skin are told apart beside the face
-_SOFT = 0.02  # metres over which one becomes the other
-_SEEN = 0.1
-_HALF = 0.5  # of that way: what is farther from skin is not skin
-_OUTLINE = 0.7  # of the width at a height: farther aside is the outline
-_SURE = 0.7  # nearer to hair than to cloth by that factor
-_STOUT = 0.085  # metres: half the width of what is no neck
-_WORN = 0.75  # of the way from skin to hair: what is farther from skin is worn on the head
-_IN_SHADE = 0.6, 1.2  # of a face's usual brightness: what other skin of it has
-_LIKE = 0.5  # of the way from hair to skin or cloth: what is nearer is hair
-_WIDE = 0.17  # metres from the middle within which long hair falls
-_FEWEST = 4
-_ROUND = 0.09  # metres between the crown and the middle of the head's round part
-_EAR = 0.055, (0.825, 0.9), (0.028, 0.078)  # metres in the zero pose and shape: beside, in y and in z
-_LIVELY = 2.5  # detail of hair against the spread of its brightness
-_FINE = 0.006  # metres of an edge; on ears they are shorter
-_BARE = 0.3  # share of an ear that is skin where no hair lies over it
+_CROWN_FRACTION = 0.12  # of the head's height, from the top: where hair is sampled
+_NAPE_FRACTION = 0.2  # of the head's height, from the chin: lowest hair of short hair
+_ROW_M = 0.015  # height of the rows in which hair and skin are classified beside the face
+_BLEND_M = 0.02  # between hair and skin
+_MIN_VISIBILITY, _MIN_CLEAR_VISIBILITY = 0.1, 0.5
+_SKIN_FRACTION = 0.5  # of the distance from skin to hair: colours farther from skin are not skin
+_OUTLINE_FRACTION = 0.7  # of the width at a height: the outline starts here
+_HAIR_TO_CLOTH_RATIO = 0.7  # of colour distances, at most, for hair
+_NECK_HALF_WIDTH_M = 0.085  # anything wider is no neck
+_WORN_FRACTION = 0.75  # of the distance from skin to hair: colours farther from skin are hair or a hat
+_SHADED_SKIN_RANGE = 0.6, 1.2  # brightness of skin against the face's median
+_SIMILAR_FRACTION = 0.5  # of the distance from hair to skin or cloth: nearer colours are hair
+_LONG_HAIR_HALF_WIDTH_M = 0.17
+_MIN_VERTICES = 4
+_MIN_LONG_HAIR_FRACTION, _MIN_OUTLINE_HAIR_FRACTION = 0.15, 0.6  # of a row's vertices
+_BEHIND_JOINT_M = 0.02  # before the joints of head and neck: surface farther back is never visible
+_CAP_M = 0.05  # of the crown that the front does not show
+_CROWN_TO_CENTRE_M = 0.09  # from the crown down to the middle of the head's round part
+# the box of an ear in the zero pose and mean shape: |x| at least, y and z between
+_EAR_MIN_X_M, _EAR_Y_M, _EAR_Z_M = 0.055, (0.825, 0.9), (0.028, 0.078)
+_EAR_EDGE_M = 0.006  # mesh edges on ears are shorter
+_DETAIL_PER_SPREAD = 2.5  # detail of hair over the standard deviation of its brightness
+_BARE_EAR_FRACTION = 0.3  # of its visible vertices that are skin, at least, where no hair covers an ear
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BackOfHead:
-    """What lies behind the face; ``back_of_head`` makes one."""
+    """Colours of a head behind the face; ``back_of_head`` makes one."""
 
     rest: F64  # [V, 3] the dressed surface in the zero pose
-    covered: F64  # [V] how much of each vertex is hair or neck that nobody looked at
-    hair: F64  # [V] how much of that is hair
+    covered: F64  # [V] fraction of each vertex that is unseen hair or neck
+    hair: F64  # [V] fraction of that which is hair
     colour: F64  # [V, 3] linear, without light
     strands: Strands | None
 
     @property
-    def lively(self) -> float:
-        """From 0 to 1, how much detail there is."""
-        return 0.0 if self.strands is None else min(1.0, _LIVELY * float(self.strands.texture.std()))
+    def detail(self) -> float:
+        """Detail from 0, plain hair, to 1."""
+        return 0.0 if self.strands is None else min(1.0, _DETAIL_PER_SPREAD * float(self.strands.texture.std()))
 
     def at(self, points: SurfacePoints) -> tuple[F64, F64]:
-        """[M] how much of each point it is, and its colour [M, 3] in linear light, without light."""
+        """Return [M] the fraction of each point that is hair or neck, and its unlit linear colour [M, 3]."""
         values = points.at(np.column_stack([self.covered, self.hair, self.colour]))
         colour = values[:, 2:]
         if self.strands is not None:
@@ -72,119 +76,123 @@ class BackOfHead:
 def back_of_head(
     body: Body, shot: FittedPicture, light: Lamp, nape_colour: F64 | None = None, locks: bool = True
 ) -> BackOfHead:
-    """Hair as the front ``shot`` has it beside the face, all around at the same height, and longer where that falls.
+    """Return hair as the front ``shot`` shows it beside the face, at the same heights all around.
 
-    Below it a head has ``nape_colour`` [3], linear and without light; None: that of the throat. Without
-    ``locks`` its hair is smooth, which is quicker.
+    Long hair reaches down the back. Below the hair a head has ``nape_colour`` [3], linear and unlit; None: that of the
+    throat. ``locks=False`` leaves the hair smooth, which is faster.
     """
     rest = shot.mesh.vertices
     count = len(rest)
     joints = shot.mesh.skeleton.joints
     middle = joints[JOINT_NAMES.index("head")]
-    ear, nape = middle[2] + 0.02, joints[JOINT_NAMES.index("neck"), 2] + 0.02
-    head, neck = _of(body, "head", "jaw") & body.skin, _of(body, "neck")
+    ear, nape = middle[2] + _BEHIND_JOINT_M, joints[JOINT_NAMES.index("neck"), 2] + _BEHIND_JOINT_M
+    head, neck = vertices_of(body, "head", "jaw") & body.skin, vertices_of(body, "neck")
     low, top = rest[head, 1].min(), rest[head, 1].max()
-    plain = shot.sample(shot.view.pixels, shot.layer) / light.shade(shot.normals)[:, None]
-    # about as eyes see it, and the same in any light, so that hair ends at the same place
-    look = np.sqrt(shot.sample(shot.view.pixels, shot.layer) / _sky(shot).shade(shot.normals)[:, None])
-    seen = shot.trust > _SEEN
-    highest = rest[head & seen, 1].max(initial=low)  # a fitted skull may reach over the person's own
-    crown = head & (rest[:, 1] > highest - _CROWN * (top - low)) & seen
-    throat, face = neck & (shot.trust > 0.5), head & face_vertices(body) & (shot.trust > 0.5)
+    nape_height = low + _NAPE_FRACTION * (top - low)
+    unlit = shot.sample(shot.view.pixels, shot.layer) / light.shade(shot.normals)[:, None]
+    # perceptual, and independent of the light, so that hair ends at the same place
+    look = np.sqrt(shot.sample(shot.view.pixels, shot.layer) / _diffuse_light(shot).shade(shot.normals)[:, None])
+    visible = shot.visibility > _MIN_VISIBILITY
+    highest = rest[head & visible, 1].max(initial=low)  # a fitted skull may reach over the person's own
+    crown = head & (rest[:, 1] > highest - _CROWN_FRACTION * (top - low)) & visible
+    clear = shot.visibility > _MIN_CLEAR_VISIBILITY
+    throat, face, chest = neck & clear, head & face_vertices(body) & clear, trunk_vertices(body) & clear
     if not crown.any() or not throat.any() or not face.any():
         return BackOfHead(rest, np.zeros(count), np.zeros(count), np.zeros((count, 3)), None)
     hair, skin = np.median(look[crown], axis=0), np.median(look[face], axis=0)
-    nearer_skin = _away(look, hair) > _away(look, skin)
-    unlike_skin = _away(look, skin) > _HALF * _away(hair, skin)  # hair below a hat is not like the hat
-    chest = trunk_vertices(body) & (shot.trust > 0.5)
-    cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)  # unlike all
-    unlike_cloth = ~(_away(look, hair) > _SURE * _away(look, cloth))
-    beside = (rest[:, 2] < ear + 0.02) & seen
-    ends = _ends(rest, head | neck, beside, unlike_skin, unlike_cloth, low + _NAPE * (top - low))
-    # whatever is not skin beside a face is worn all around it: hair, and a hat above it
-    worn = (head | neck) & ~face_vertices(body) & seen & (_away(look, skin) > _WORN * _away(hair, skin))
-    worn &= rest[:, 1] > ends - _STEP
-    shaded = (look @ skin / (skin @ skin)).clip(*_IN_SHADE)[:, None] * skin
-    worn &= ~(_away(look, shaded) < _LIKE * _away(look, hair))  # nor are ears and jaws in the shade
-    for other in (cloth, _room(shot, head)):  # collars and walls are not hair
-        worn &= ~(_away(look, other) < np.minimum(_away(look, hair), _LIKE * _away(hair, other)))
-    below_hat = worn & (rest[:, 1] < low + _NAPE * (top - low))
-    fell = np.median(plain[worn], axis=0) if worn.any() else hair**2
-    if below_hat.sum() > _FEWEST:
-        hair, fell = np.median(look[below_hat], axis=0), np.median(plain[below_hat], axis=0)
+    nearer_skin = _distance(look, hair) > _distance(look, skin)
+    unlike_skin = _distance(look, skin) > _SKIN_FRACTION * _distance(hair, skin)  # hair below a hat is not like the hat
+    cloth = np.median(look[chest], axis=0) if chest.any() else np.full(3, np.nan)  # no cloth: nothing is similar
+    unlike_cloth = ~(_distance(look, hair) > _HAIR_TO_CLOTH_RATIO * _distance(look, cloth))
+    beside = (rest[:, 2] < ear + _BLEND_M) & visible
+    hair_end = _hair_end(rest, head | neck, beside, unlike_skin, unlike_cloth, nape_height)
+    # colours beside a face that are not skin go all around it: hair, and a hat above it
+    off_skin = _distance(look, skin) > _WORN_FRACTION * _distance(hair, skin)
+    worn = (head | neck) & ~face_vertices(body) & visible & off_skin
+    worn &= rest[:, 1] > hair_end - _ROW_M
+    shaded = (look @ skin / (skin @ skin)).clip(*_SHADED_SKIN_RANGE)[:, None] * skin
+    worn &= ~(_distance(look, shaded) < _SIMILAR_FRACTION * _distance(look, hair))  # shaded ears and jaws are skin
+    for other in (cloth, _background(shot, head)):  # collars and walls are not hair
+        nearest = np.minimum(_distance(look, hair), _SIMILAR_FRACTION * _distance(hair, other))
+        worn &= ~(_distance(look, other) < nearest)
+    below_hat = worn & (rest[:, 1] < nape_height)
+    fallen_colour = np.median(unlit[worn], axis=0) if worn.any() else hair**2
+    if below_hat.sum() > _MIN_VERTICES:
+        hair, fallen_colour = np.median(look[below_hat], axis=0), np.median(unlit[below_hat], axis=0)
     around = np.tile(hair**2, (count, 1))
     if worn.any() and locks:
-        trust = shot.trust * worn
-        around[head | neck] = smoothest(body, trust, trust[:, None] * plain, True, some=head | neck)
-    above = ((rest[:, 1] - ends) / _SOFT).clip(0, 1)
+        trust = shot.visibility * worn
+        around[head | neck] = fill_smoothly(body, trust, trust[:, None] * unlit, True, some=head | neck)
+    above = _ramp(rest[:, 1] - hair_end)
     neck_behind = _ramp(nape - rest[:, 2]) * neck
     behind = _ramp(ear - rest[:, 2]) * head + neck_behind * (above if nape_colour is not None else 1.0)
-    beside_face = above * (
-        head & ~face_vertices(body)
-    )  # what nobody saw beside a face is hair, not hair and skin mixed
-    covered = np.maximum.reduce([behind, _ramp(rest[:, 1] - top + 0.05) * head, beside_face])
-    below = np.median(plain[throat], axis=0) if nape_colour is None else nape_colour
+    beside_face = above * (head & ~face_vertices(body))  # unseen surface beside a face is hair, not a mix with skin
+    covered = np.maximum.reduce([behind, _ramp(rest[:, 1] - top + _CAP_M) * head, beside_face])
+    below = np.median(unlit[throat], axis=0) if nape_colour is None else nape_colour
     colour = above[:, None] * around + (1 - above[:, None]) * below
-    fallen = _fallen(body, shot, look, hair, skin, ends, nape) if ends < rest[neck, 1].min() + 2 * _STEP else 0 * above
-    if below_hat.sum() > _FEWEST:  # what falls is not mixed with a hat above
-        share = _ramp(low + _NAPE * (top - low) - rest[:, 1])[:, None] * (head | neck)[:, None] * above[:, None]
-        colour += share * (fell - colour)
-    colour = np.where((fallen > 0)[:, None], fell, colour)
-    covered, hairy = np.maximum(covered, fallen), np.maximum(above * (head | neck), fallen)
-    for ears in ears_of(body):
-        shown = np.flatnonzero(ears & seen)
+    hair_on_back = np.zeros(count)
+    if hair_end < rest[neck, 1].min() + 2 * _ROW_M:
+        hair_on_back = _long_hair_on_back(body, shot, look, hair, skin, hair_end, nape)
+    if below_hat.sum() > _MIN_VERTICES:  # falling hair has no colour of the hat above it
+        share = _ramp(nape_height - rest[:, 1]) * (head | neck) * above
+        colour += share[:, None] * (fallen_colour - colour)
+    colour = np.where((hair_on_back > 0)[:, None], fallen_colour, colour)
+    covered, hair_share = np.maximum(covered, hair_on_back), np.maximum(above * (head | neck), hair_on_back)
+    for ears in _ears_of(body):
+        shown = np.flatnonzero(ears & visible)
         bare = shown[nearer_skin[shown]]
-        if len(bare) > max(_BARE * len(shown), _FEWEST):
-            colour[ears], hairy[ears], covered[ears] = np.median(plain[bare], axis=0), 0.0, 1.0
-    round_part = np.array([middle[0], top - _ROUND, middle[2]])
+        if len(bare) > max(_BARE_EAR_FRACTION * len(shown), _MIN_VERTICES):
+            colour[ears], hair_share[ears], covered[ears] = np.median(unlit[bare], axis=0), 0.0, 1.0
+    round_centre = np.array([middle[0], top - _CROWN_TO_CENTRE_M, middle[2]])
     if not locks:
-        return BackOfHead(rest, covered, hairy, colour, None)
-    strands = strands_of(shot, np.flatnonzero(head | (neck & (fallen.max() > 0))), hair, skin, round_part)
-    return BackOfHead(rest, covered, hairy, colour, strands)
+        return BackOfHead(rest, covered, hair_share, colour, None)
+    strands = strands_of(shot, np.flatnonzero(head | (neck & (hair_on_back.max() > 0))), hair, skin, round_centre)
+    return BackOfHead(rest, covered, hair_share, colour, strands)
 
 
-def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """[V] the vertices of the left and the right ear."""
+def _ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return [V] the vertices of the left and the right ear."""
     edges = body.neighbours.tocoo()
     length = np.linalg.norm(body.vertices[edges.row] - body.vertices[edges.col], axis=1)
     mean = np.bincount(edges.row, length, len(body.vertices)) / np.maximum(np.bincount(edges.row), 1)
     x, y, z = body.vertices.T
-    box = (y > _EAR[1][0]) & (y < _EAR[1][1]) & (z > _EAR[2][0]) & (z < _EAR[2][1]) & (mean < _FINE)
-    box &= _of(body, "head") & body.skin
-    return box & (x > _EAR[0]), box & (x < -_EAR[0])
+    box = (y > _EAR_Y_M[0]) & (y < _EAR_Y_M[1]) & (z > _EAR_Z_M[0]) & (z < _EAR_Z_M[1]) & (mean < _EAR_EDGE_M)
+    box &= vertices_of(body, "head") & body.skin
+    return box & (x > _EAR_MIN_X_M), box & (x < -_EAR_MIN_X_M)
 
 
-def _fallen(body: Body, shot: FittedPicture, look: F64, hair: F64, skin: F64, ends: float, nape: float) -> F64:
-    """[V] where long hair lies on the back: as far down and aside as it is seen on the chest and shoulders."""
+def _long_hair_on_back(
+    body: Body, shot: FittedPicture, look: F64, hair: F64, skin: F64, hair_end: float, nape: float
+) -> F64:
+    """Return [V] where long hair lies on the back: as far down and to the sides as on chest and shoulders."""
     rest, trunk = shot.mesh.vertices, trunk_vertices(body)
-    chest = trunk & (shot.trust > _SEEN) & (rest[:, 1] < ends)
+    chest = trunk & (shot.visibility > _MIN_VISIBILITY) & (rest[:, 1] < hair_end)
     out = np.zeros(len(rest))
     if not chest.any():
         return out
     cloth = np.median(look[chest], axis=0)
-    like = _away(look, hair) < _LIKE * min(_away(hair, skin), _away(hair, cloth))
-    beside = chest & (np.abs(rest[:, 0]) < _WIDE)
+    like = _distance(look, hair) < _SIMILAR_FRACTION * min(_distance(hair, skin), _distance(hair, cloth))
+    beside = chest & (np.abs(rest[:, 0]) < _LONG_HAIR_HALF_WIDTH_M)
     mine = beside & like
-    lowest = ends
-    while (row := beside & (rest[:, 1] < lowest) & (rest[:, 1] >= lowest - _STEP)).any():
-        if (row & mine).sum() < _FEWEST or mine[row].mean() < 0.15:
+    lowest = hair_end
+    while (row := beside & (rest[:, 1] < lowest) & (rest[:, 1] >= lowest - _ROW_M)).any():
+        if (row & mine).sum() < _MIN_VERTICES or mine[row].mean() < _MIN_LONG_HAIR_FRACTION:
             break
-        lowest -= _STEP
-    if lowest == ends:
+        lowest -= _ROW_M
+    if lowest == hair_end:
         return out
-    fell = mine & (rest[:, 1] > lowest)
-    wide = float(np.quantile(np.abs(rest[fell, 0]), 0.9))
+    wide = float(np.quantile(np.abs(rest[mine & (rest[:, 1] > lowest), 0]), 0.9))
     back = _ramp(nape - rest[:, 2]) * trunk
     return np.asarray(back * _ramp(rest[:, 1] - lowest) * _ramp(wide - np.abs(rest[:, 0])))
 
 
-def _sky(shot: FittedPicture) -> Lamp:
-    """A room without a lamp."""
+def _diffuse_light(shot: FittedPicture) -> Lamp:
+    """Return a room without a lamp."""
     return Lamp(np.array([0.0, 0.0, -1.0]), shot.view.root[:, 1], 0.0)
 
 
-def _room(shot: FittedPicture, head: NDArray[np.bool_]) -> F64:
-    """[3] what lies beside the head, as ``look`` in ``back_of_head``; not a number where nothing does."""
+def _background(shot: FittedPicture, head: NDArray[np.bool_]) -> F64:
+    """Return [3] the square root of the background's colour beside the head; NaN where there is none."""
     height, width = shot.mask.shape
     pixels = shot.view.pixels[head].astype(np.intp).clip(0, (width - 1, height - 1))
     box = np.s_[pixels[:, 1].min() : pixels[:, 1].max() + 1, pixels[:, 0].min() : pixels[:, 0].max() + 1]
@@ -192,20 +200,20 @@ def _room(shot: FittedPicture, head: NDArray[np.bool_]) -> F64:
     return np.sqrt(to_linear(np.median(beside, axis=0) / 255)) if len(beside) else np.full(3, np.nan)
 
 
-def _away(colours: F64, other: F64) -> F64:
+def _distance(colours: F64, other: F64) -> F64:
     return np.asarray(np.linalg.norm(colours - other, axis=-1))
 
 
-def _of(body: Body, *names: str) -> NDArray[np.bool_]:
-    """[V] the vertices that these joints hold most of."""
+def vertices_of(body: Body, *names: str) -> NDArray[np.bool_]:
+    """Return [V] the vertices that are bound most to these joints."""
     return np.isin(body.part, [JOINT_NAMES.index(name) for name in names])
 
 
 def _ramp(metres: F64) -> F64:
-    return np.asarray((metres / _SOFT).clip(0, 1))
+    return np.asarray((metres / _BLEND_M).clip(0, 1))
 
 
-def _ends(
+def _hair_end(
     rest: F64,
     part: NDArray[np.bool_],
     beside: NDArray[np.bool_],
@@ -213,16 +221,17 @@ def _ends(
     unlike_cloth: NDArray[np.bool_],
     usual: float,
 ) -> float:
-    """Metres above which there is hair: lower than usual where the outline beside the face is hair farther down.
+    """Return the height in metres where hair ends: below ``usual`` while the outline beside the face is hair.
 
-    What may as well be a collar is hair where it is wider than necks are.
+    Colours that may as well be a collar count as hair where the outline is wider than necks are.
     """
     lowest = usual
     aside = np.abs(rest[:, 0])
     while True:
-        all_of_it = part & (rest[:, 1] >= lowest - 2 * _STEP) & (rest[:, 1] < lowest)
-        row, wide = all_of_it & beside, float(aside[all_of_it].max(initial=0.0))
-        row &= aside > _OUTLINE * aside[row].max(initial=0.0)
-        if row.sum() < _FEWEST or (hair & (unlike_cloth | (wide > _STOUT)))[row].mean() < 0.6:
+        ring = part & (rest[:, 1] >= lowest - 2 * _ROW_M) & (rest[:, 1] < lowest)
+        row, wide = ring & beside, float(aside[ring].max(initial=0.0))
+        row &= aside > _OUTLINE_FRACTION * aside[row].max(initial=0.0)
+        hairy = hair & (unlike_cloth | (wide > _NECK_HALF_WIDTH_M))
+        if row.sum() < _MIN_VERTICES or hairy[row].mean() < _MIN_OUTLINE_HAIR_FRACTION:
             return lowest
-        lowest -= _STEP
+        lowest -= _ROW_M

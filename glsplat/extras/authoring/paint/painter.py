@@ -1,4 +1,4 @@
-"""The colours of a dressed body's surface from the pictures of it, the unseen sides included."""
+"""Paint a dressed body's surface from the pictures of it, unseen sides included."""
 
 from __future__ import annotations
 
@@ -14,193 +14,202 @@ from glsplat.extras.authoring.compute.threads import map_threads, run_in_backgro
 from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.front_to_back_transfer import Front, Twins, find_twins
-from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head
+from glsplat.extras.authoring.geometry.visibility import HEAD
+from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
+from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
 from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
-from glsplat.extras.authoring.paint.inpaint.ground import Ground
+from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
-from glsplat.extras.authoring.paint.mouth_and_eyes import Inside, inside_of
-from glsplat.extras.authoring.paint.smooth import smoothest
-from glsplat.extras.authoring.paint.view_sample import FittedPicture, Sight
+from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
+from glsplat.extras.authoring.paint.ramps import ramp
+from glsplat.extras.authoring.paint.smooth import fill_smoothly
+from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.pictures import to_srgb
-from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Paint", "Painter", "paint", "painter_of"]
+__all__ = ["COLOUR_DIGITS", "Paint", "Painter", "painter_of"]
 
 F64 = NDArray[np.float64]
 
-_NO_TWINS = ("neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf")  # faces and chins have no counterpart
-_GUESSED = 0.6  # of the splats that detail is worth, where it is a guess
-_DIGITS = 6  # of a colour; see optimize/colour_fit.py
-_BLOCK = 1 << 15  # points that one core paints together
-_LENT = 0.003  # what one half of the body says of the other, where nobody looks
-_FORGETS = 3e-4  # how soon cloth that nobody looks at is as it is elsewhere at that height
-_ASIDE = 0.35, 0.6  # of the trunk's half width: nearer to its middle than that nothing is mirrored, for signs are there
-_SHADE = 0.3, 1.4  # brightness of an unseen point against the seen one its colour comes from
+COLOUR_DIGITS = 6
+"""Decimals of a colour; see optimize/colour_fit.py."""
+
+# faces and chins have no counterpart at the back
+_UNMATCHED = ("neck", *HEAD)
+_GUESSED_DETAIL_FACTOR = 0.6  # guessed detail gets fewer splats than visible detail
+_BLOCK_POINTS = 1 << 15  # painted together by one core
+_MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
+_UNSEEN_CLOTH_DECAY = 3e-4  # pull of unseen cloth towards the colour of its row
+_MIRROR_FADE = 0.35, 0.6  # of a trunk's half width: signs are in its middle, so nothing is mirrored there
+_SHADE_RATIO_RANGE = 0.3, 1.4  # of an unseen point's light over that of its source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paint:
-    """What is known and guessed of M points."""
+    """Known and guessed colours of M points."""
 
     rgb: F64  # [M, 3] sRGB in [0, 1]
-    seen: F64  # [M] from 0, guessed, to 1, seen
-    busy: F64  # [M] from 0, plain, to 1, full of detail
+    visibility: F64  # [M] from 0, guessed, to 1, visible
+    detail: F64  # [M] from 0, plain, to 1, full of detail
 
 
 @dataclass(frozen=True, eq=False)
 class Painter:
-    """Gives the colours of any points of a dressed body; ``painter_of`` makes one."""
+    """Colours of any points of a dressed body; ``painter_of`` makes one."""
 
     body: Body
     shots: Sequence[FittedPicture]  # the front first
-    inside: Inside
+    inside: EyesAndMouth
     light: Lamp
     cloth: Cloth
-    plain: F64  # [V, 3] smooth linear colours without light; where there is cloth, what is added to it
-    twins: Twins
+    plain: F64  # [V, 3] smooth unlit linear colours; where there is cloth, what is added to its colour
+    matches: FrontMatches
     head: BackOfHead
-    sleeves: SurfacePoints | None  # [V] where the trunk shows the cloth of an arm's vertex; None where it is plain
-    aside: F64  # [V] how much the other half of the body says of a vertex that is not seen
+    sleeves: SurfacePoints | None  # [V] point of the trunk whose cloth an arm's vertex takes; None for plain cloth
+    mirror_weights: F64  # [V] weight of the body's other half for vertices seen in no picture
 
     def paint(self, points: SurfacePoints) -> Paint:
-        """What is known and guessed of the points; what is seen squarely is not guessed."""
-        starts = range(0, max(len(points.corners), 1), _BLOCK)
-        blocks = [points.take(slice(first, first + _BLOCK)) for first in starts]
-        parts = map_threads(self._painted, blocks)
+        """Return the colours of the points; only points not seen squarely are guessed."""
+        starts = range(0, max(len(points.corners), 1), _BLOCK_POINTS)
+        blocks = [points.take(slice(first, first + _BLOCK_POINTS)) for first in starts]
+        parts = map_threads(self._paint_block, blocks)
         return Paint(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def _painted(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
-        """As ``Paint`` has it, of points that are looked at together."""
-        sights, ground, shade = self._looked(points)
-        seen, colour = _mixed(sights)
-        busy = np.max([sight.busy * sight.trust for sight in sights], axis=0)
-        doubt = np.flatnonzero(seen < 1)
-        part = points.take(doubt)
-        guess, there = self._guess(part, ground.at(doubt), shade[doubt])
-        busy[doubt] = np.maximum(busy[doubt], _GUESSED * there * (1 - seen[doubt]))
-        colour[doubt] = guess + seen[doubt, None] * (colour[doubt] - guess)
+    def _paint_block(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
+        """Return the fields of ``Paint`` for one block of points."""
+        samples, material, shade = self._sample_pictures(points)
+        visibility, colour = _mix_views(samples)
+        detail = np.max([sample.detail * sample.visibility for sample in samples], axis=0)
+        unsure = np.flatnonzero(visibility < 1)
+        part = points.take(unsure)
+        guess, guessed_detail = self._guess(part, material.at(unsure), shade[unsure])
+        detail[unsure] = np.maximum(detail[unsure], _GUESSED_DETAIL_FACTOR * guessed_detail * (1 - visibility[unsure]))
+        colour[unsure] = guess + visibility[unsure, None] * (colour[unsure] - guess)
         rgb = self.inside.over(to_srgb(colour), points)
-        return np.round(rgb, _DIGITS), seen, np.round(busy, _DIGITS)
+        return np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail, COLOUR_DIGITS)
 
     def colours(self, points: SurfacePoints) -> F64:
-        """``paint(points).rgb``, on one core."""
-        return self._painted(points)[0]
+        """Return ``paint(points).rgb``, computed on one core."""
+        return self._paint_block(points)[0]
 
-    def _looked(self, points: SurfacePoints) -> tuple[list[Sight], Ground, F64]:
-        """What each picture shows, the front without what is not the body's; the cloth there, and the light [M]."""
-        sights = [shot.look(points) for shot in self.shots]
+    def _sample_pictures(self, points: SurfacePoints) -> tuple[list[ViewSample], Material, F64]:
+        """Return each picture's sample (the front's without foreign colours), the material, and the light [M]."""
+        samples = [shot.sample_surface(points) for shot in self.shots]
         shade = self.light.shade(points.directions(self.shots[0].normals))
-        ground, first = self.cloth.at(points), sights[0]
-        strange = self.cloth.strange(self.shots[0], points, first.linear, shade, ground)
-        sights[0] = replace(first, trust=first.trust * (1 - strange))
-        return sights, ground, shade
+        material, first = self.cloth.at(points), samples[0]
+        foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
+        samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
+        return samples, material, shade
 
-    def _guess(self, points: SurfacePoints, ground: Ground, shade: F64) -> tuple[F64, F64]:
-        """[M, 3] linear colours where nobody looks, and [M] how much detail they have."""
+    def _guess(self, points: SurfacePoints, material: Material, shade: F64) -> tuple[F64, F64]:
+        """Return [M, 3] linear colours where no picture looks, and [M] their detail."""
         body, front = self.body, self.shots[0]
-        # the front at the same place, for all but the head, where it is the same cloth
-        behind = self.twins.colours(front, points, ground.pattern)
-        lit = self.light.shade(behind.normals)
-        ratio = (shade / lit).clip(*_SHADE)
-        round_parts = np.isin(body.part, [JOINT_NAMES.index(name) for name in _NO_TWINS])
-        trust = behind.trust * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-        trust = trust * ground.alike(behind.linear / lit[:, None])
-        # what was continued into a hole is worth less than the cloth, unless that has a pattern
-        arms = self.cloth.sleeves(points)
-        trust = np.where((ground.there > 0) & (~ground.pattern | arms), trust * behind.known, trust)
+        # the front at the same place where it shows the same cloth, but for the head
+        matched = self.matches.colours(front, points, material.pattern)
+        source_shade = self.light.shade(matched.normals)
+        ratio = (shade / source_shade).clip(*_SHADE_RATIO_RANGE)
+        round_parts = vertices_of(body, *_UNMATCHED)
+        trust = matched.visibility * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
+        trust = trust * material.likeness(matched.linear / source_shade[:, None])
+        # colours filled into a hole count less than the cloth's, unless that has a pattern
+        arms = self.cloth.on_sleeves(points)
+        trust = np.where((material.known > 0) & (~material.pattern | arms), trust * matched.known, trust)
         covered, colour = self.head.at(points)
-        # side by side, not one over the other: where neck and back meet, no third colour shows between them
+        # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
-        plain = np.maximum(points.at(self.plain) + ground.there[:, None] * ground.colour, 0)
+        plain = np.maximum(points.at(self.plain) + material.known[:, None] * material.colour, 0)
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
-        guess += (trust * ratio)[:, None] * behind.linear
-        # what one half of the body hides, the other one shows
+        guess += (trust * ratio)[:, None] * matched.linear
+        # the other half of the body may show what this one hides
         across = SurfacePoints(mirror_vertices()[points.corners], points.weights)
-        other = front.look(across)
-        lit = self.light.shade(across.directions(front.normals))
-        lent = other.trust * points.at(self.aside[:, None])[:, 0] * ground.alike(other.linear / lit[:, None])
-        guess += lent[:, None] * ((shade / lit).clip(*_SHADE)[:, None] * other.linear - guess)
+        other = front.sample_surface(across)
+        source_shade = self.light.shade(across.directions(front.normals))
+        mirror_share = (
+            other.visibility
+            * points.at(self.mirror_weights[:, None])[:, 0]
+            * material.likeness(other.linear / source_shade[:, None])
+        )
+        guess += mirror_share[:, None] * (
+            (shade / source_shade).clip(*_SHADE_RATIO_RANGE)[:, None] * other.linear - guess
+        )
         if self.sleeves is not None:
-            some = np.flatnonzero(arms & ground.pattern)
-            guess[some] += ((1 - trust) * (1 - lent))[some, None] * (self._cut(points, some, shade) - guess[some])
-        return guess, np.maximum.reduce([behind.busy * trust, other.busy * lent, covered * self.head.lively])
+            some = np.flatnonzero(arms & material.pattern)
+            guess[some] += ((1 - trust) * (1 - mirror_share))[some, None] * (
+                self._sleeve_colours(points, some, shade) - guess[some]
+            )
+        return guess, np.maximum.reduce(
+            [matched.detail * trust, other.detail * mirror_share, covered * self.head.detail]
+        )
 
-    def _cut(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
-        """[K, 3] linear colours of ``some`` points of sleeves, as the trunk's cloth has them."""
+    def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
+        """Return [K, 3] linear colours for ``some`` points of sleeves, taken from the trunk's cloth."""
         assert self.sleeves is not None
         front, part = self.shots[0], points.take(some)
-        lit = self.light.shade(part.directions(self.sleeves.directions(front.normals)))
+        source_shade = self.light.shade(part.directions(self.sleeves.directions(front.normals)))
         cloth = front.sample(part.at(self.sleeves.at(front.view.pixels)))
-        return np.asarray((shade[some] / lit).clip(*_SHADE)[:, None] * cloth)
+        return np.asarray((shade[some] / source_shade).clip(*_SHADE_RATIO_RANGE)[:, None] * cloth)
 
 
 def painter_of(
     body: Body, shots: Sequence[FittedPicture], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
 ) -> Painter:
-    """A painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
+    """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
-    Light and cloth are found on ``points``, which should lie evenly over the surface.
+    Light and cloth are estimated at ``points``, which should lie evenly over the surface.
     """
     front = shots[0]
-    seen_from_afar = run_in_background(lambda: Front(front.mesh))
-    sight = front.look(points)
+    start_front = run_in_background(lambda: Front(front.mesh))
+    sample = front.sample_surface(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]
-    light = find_light(normals, sight.linear, sight.trust, up, np.array([0.0, 0, -1]))
-    cloth = cloth_of(body, front, points, sight, light.shade(normals))
+    light = find_light(normals, sample.linear, sample.visibility, up, np.array([0.0, 0, -1]))
+    cloth = cloth_of(body, front, points, sample, light.shade(normals))
     head = run_in_background(lambda: back_of_head(body, front, light, cloth.nape))
-    plain, seen = _smooth_colours(body, shots, light, cloth), seen_from_afar()
-    twins, span = find_twins(front.mesh, trunk_vertices(body), seen), cloth.patterned
-    sleeves = None if span is None else cut_sleeves(front.mesh, seen, span)
-    inside = inside_of(body, front, looks or {})
-    return Painter(body, shots, inside, light, cloth, plain, twins, head(), sleeves, _aside(body, front))
+    plain, view = _smooth_colours(body, shots, light, cloth), start_front()
+    matches, span = match_to_front(front.mesh, trunk_vertices(body), view), cloth.patterned
+    sleeves = None if span is None else cut_sleeves(front.mesh, view, span)
+    inside = eyes_and_mouth_of(body, front, looks or {})
+    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, _mirror_weights(body, front))
 
 
-def _aside(body: Body, shot: FittedPicture) -> F64:
-    """[V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the room."""
+def _mirror_weights(body: Body, shot: FittedPicture) -> F64:
+    """Return [V] 1, but 0 about the middle of the trunk and on hair, whose edges are mixed with the background."""
     trunk, rest = trunk_vertices(body), shot.mesh.vertices
-    hair = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("neck", "head")]) & ~face_vertices(body)
+    hair = vertices_of(body, "neck", "head") & ~face_vertices(body)
     share = np.abs(rest[:, 0]) / np.maximum(trunk_half_width(rest, trunk), 1e-3)
-    return np.where(hair, 0.0, np.where(trunk, ((share - _ASIDE[0]) / (_ASIDE[1] - _ASIDE[0])).clip(0, 1), 1.0))
+    return np.where(hair, 0.0, np.where(trunk, ramp(share, *_MIRROR_FADE), 1.0))
 
 
-def paint(
-    body: Body, shots: Sequence[FittedPicture], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
-) -> Paint:
-    """Colours of ``points`` of the dressed body; ``shots`` begin with the front, ``looks`` are the eyes in it."""
-    return painter_of(body, shots, points, looks).paint(points)
-
-
-def _mixed(sights: Sequence[Sight]) -> tuple[F64, F64]:
-    """[M] how well the points are seen, and their linear colours [M, 3] by all who see them."""
-    count = len(sights[0].trust)
-    total = sum((sight.trust**2 for sight in sights), np.zeros(count))
-    mixed = sum((sight.linear * (sight.trust**2)[:, None] for sight in sights), np.zeros((count, 3)))
-    return np.max([sight.trust for sight in sights], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
+def _mix_views(samples: Sequence[ViewSample]) -> tuple[F64, F64]:
+    """Return [M] the visibility of the points, and their linear colours [M, 3], mixed from all pictures."""
+    count = len(samples[0].visibility)
+    total = sum((sample.visibility**2 for sample in samples), np.zeros(count))
+    mixed = sum((sample.linear * (sample.visibility**2)[:, None] for sample in samples), np.zeros((count, 3)))
+    return np.max([sample.visibility for sample in samples], axis=0), mixed / np.maximum(total, 1e-9)[:, None]
 
 
 def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, cloth: Cloth) -> F64:
-    """[V, 3] what is added to the cloth's linear colours without light: as seen at the vertices, the smoothest between.
+    """Return [V, 3] offsets to the cloth's unlit linear colours: as seen at the vertices, smooth between.
 
-    Where no cloth is known it is the colours themselves.
+    Where no cloth is known they are the colours themselves.
     """
     count = len(body.vertices)
     known, target = np.zeros(count), np.zeros((count, 3))
     first = shots[0]
-    ground = cloth.at(SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3)))
-    worn = ground.there > 0
+    material = cloth.at(SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3)))
+    clothed = material.known > 0
     for shot in shots:
-        trust = shot.trust * body.skin
-        # every picture is of the same room: normals are turned back into the first camera's axes
+        trust = shot.visibility * body.skin
+        # one room for all pictures: normals are turned into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
-        trust = trust * ground.alike(plain, patterned=False)  # a print does not flow into the cloth beside it
+        trust = trust * material.likeness(plain, patterned=False)  # a print does not flow into the cloth beside it
         known += trust
         target += trust[:, None] * plain
-    twin = mirror_vertices()
-    lent = _LENT * known[twin] * (known < _LENT)
-    known, target = known + lent, target + _LENT * target[twin] * (known < _LENT)[:, None]
-    added = smoothest(body, known * worn, (target - known[:, None] * ground.colour) * worn[:, None], shy=_FORGETS)
-    added[~worn] = smoothest(body, known, target, some=~worn)
-    return added
+    mirrored = mirror_vertices()
+    mirror_share = _MIRROR_WEIGHT * known[mirrored] * (known < _MIRROR_WEIGHT)
+    known, target = known + mirror_share, target + _MIRROR_WEIGHT * target[mirrored] * (known < _MIRROR_WEIGHT)[:, None]
+    offsets = fill_smoothly(
+        body, known * clothed, (target - known[:, None] * material.colour) * clothed[:, None], decay=_UNSEEN_CLOTH_DECAY
+    )
+    offsets[~clothed] = fill_smoothly(body, known, target, some=~clothed)
+    return offsets

@@ -1,4 +1,4 @@
-"""Small work on pictures: linear light, colours between pixels, detail around them."""
+"""Sample and measure pictures: linear light, bilinear colours, local detail."""
 
 from __future__ import annotations
 
@@ -9,29 +9,33 @@ from numpy.typing import NDArray
 from glsplat.pictures import to_linear
 from glsplat.rotations import component_sums
 
-__all__ = ["bilinear", "busy", "grown", "linear"]
+__all__ = ["bilinear", "detail_of", "linear_light", "upscale_labels"]
 
 F64 = NDArray[np.float64]
 
-_PATCH, _BUSY = 7, 0.12  # pixels, and the spread of colour in them that is full of detail
+_DETAIL_PATCH_PX = 7
+_FULL_DETAIL_SPREAD = 0.12  # standard deviation of perceptual colour in a patch
 
 
-def linear(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Of sRGB [..., 3] in 8 bits the linear light."""
+def linear_light(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the linear light of sRGB [..., 3] in 8 bits."""
     table = to_linear(np.arange(256) / 255).astype(np.float32)
     return np.asarray(table[rgb])
 
 
-def busy(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """[H, W] the local spread of colour, as a share of what counts as full of detail; ``picture`` is linear light."""
-    colour = np.sqrt(picture)  # about as eyes see it
-    variance = cv2.blur(colour**2, (_PATCH, _PATCH)) - cv2.blur(colour, (_PATCH, _PATCH)) ** 2
-    return np.minimum(np.sqrt(component_sums(np.maximum(variance, 0))) / _BUSY, 1)
+def detail_of(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return [H, W] the local spread of colour, from 0 to 1, full of detail; ``picture`` is linear light."""
+    colour = np.sqrt(picture)  # roughly perceptual
+    variance = (
+        cv2.blur(colour**2, (_DETAIL_PATCH_PX, _DETAIL_PATCH_PX))
+        - cv2.blur(colour, (_DETAIL_PATCH_PX, _DETAIL_PATCH_PX)) ** 2
+    )
+    return np.minimum(np.sqrt(component_sums(np.maximum(variance, 0))) / _FULL_DETAIL_SPREAD, 1)
 
 
 def bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
-    """[M, 3] colours of a ``picture`` [H, W, 3] at ``pixels`` [M, 2], those of its edge beyond it."""
-    side = 256  # OpenCV's remap wants pictures, of less than 32767 pixels a side
+    """Return [M, 3] colours of a ``picture`` [H, W, 3] at ``pixels`` [M, 2]; beyond it, those of its edge."""
+    side = 256  # OpenCV's remap takes pictures of fewer than 32767 pixels a side
     rows = max(1, -(-len(pixels) // side))
     flat = np.zeros((rows * side, 2), np.float32)
     flat[: len(pixels)] = pixels - 0.5
@@ -43,6 +47,6 @@ def bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
     return np.concatenate(parts).reshape(-1, 3)[: len(pixels)].astype(np.float64)
 
 
-def grown(small: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Labels at the size of a picture of this ``shape``."""
+def upscale_labels(small: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Return labels at the size of a picture of this ``shape``."""
     return cv2.resize(small.astype(np.int16), shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.intp)

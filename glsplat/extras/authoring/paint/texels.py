@@ -1,4 +1,4 @@
-"""Which point of the surface each texel of a texture shows."""
+"""Find the point of the surface that each texel of a texture shows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Texels", "texels_of"]
 
 F64 = NDArray[np.float64]
 
-_LEAST = 1e-9  # texels that a triangle covers at least to have any
+_MIN_AREA_TEXELS = 1e-9  # of a triangle that has texels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,10 +24,10 @@ class Texels:
 
 
 def texels_of(uv: F64, width: int, height: int) -> Texels:
-    """The texels of triangles ``uv`` [F, 3, 2] (v up, in [0, 1]); where two overlap, the later one has it."""
-    x, y = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5  # a centre has whole numbers
+    """Return the texels of triangles ``uv`` [F, 3, 2] (v up, in [0, 1]); where two overlap, the later one wins."""
+    x, y = uv[..., 0] * width - 0.5, (1 - uv[..., 1]) * height - 0.5  # centres are whole numbers
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
-    flat = np.abs(area) < _LEAST
+    flat = np.abs(area) < _MIN_AREA_TEXELS
     inverse = (1 / np.where(flat, np.inf, area))[:, None]
     # barycentric coordinates are right * column + down * row + start; [F, 3] each
     ahead, behind = np.roll(np.arange(3), -1), np.roll(np.arange(3), 1)
@@ -57,6 +57,6 @@ def texels_of(uv: F64, width: int, height: int) -> Texels:
 
 
 def _runs(counts: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which run each of all the runs' elements belongs to, and its place in it from 0."""
+    """Return the run of each element of all runs, and its place in the run from 0."""
     which = np.repeat(np.arange(len(counts)), counts)
     return which, np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)

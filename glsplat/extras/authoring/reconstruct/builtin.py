@@ -25,7 +25,7 @@ from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
 from glsplat.extras.authoring.optimize.surface_consistency import load_compiled
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -71,8 +71,8 @@ class Builtin:
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
-        avatar = scattered.avatar(face().mesh if face else mesh, painted.rgb, painted.busy, rng)
-        unseen = float(np.average(painted.seen < MIN_TRUST, weights=1 / scattered.density))
+        avatar = scattered.avatar(face().mesh if face else mesh, painted.rgb, painted.detail, rng)
+        unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(
             avatar, mesh, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
@@ -80,7 +80,7 @@ class Builtin:
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
-            avatar = with_face(avatar, face(), options.splats, options.seed, seen=bool(looks))
+            avatar = with_face(avatar, face(), options.splats, options.seed, eyes_visible=bool(looks))
         if captured is not None and loaded is not None:
             options.progress("finding the light", 0.0)
             loaded()
@@ -95,9 +95,9 @@ class Builtin:
         mesh = shots[0].mesh
         even = even_points(mesh, _LIGHT_POINTS)
         painter = painter_of(body, shots, even, looks)
-        unseen = float((painter.paint(even).seen < MIN_TRUST).mean())
+        unseen = float((painter.paint(even).visibility < MIN_TRUST).mean())
         options.progress("painting textures", 0.5)
-        mesh = baked(mesh, painter.colours, options.texture)
+        mesh = bake(mesh, painter.colours, options.texture)
         options.progress("painting textures", 1.0)
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
@@ -137,7 +137,7 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
 
 
 def _trust(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:
-    return np.asarray(np.max([shot.trust for shot in shots], axis=0))
+    return np.asarray(np.max([shot.visibility for shot in shots], axis=0))
 
 
 def _person(picture: Picture, side: str) -> DetectedPerson:

@@ -19,7 +19,7 @@ from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.view_fusion import Fusion, fusion_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import scatter
@@ -96,7 +96,7 @@ def reconstruct_frames(
     content: RiggedMesh | Avatar
     if form == "mesh":
         options.progress("baking the texture", 0.85)
-        content = baked(mesh, fusion.colours, options.texture)
+        content = bake(mesh, fusion.colours, options.texture)
     else:
         content = _splats(mesh, fusion, frames, shots, options)
     options.progress("painting", 1.0)
@@ -110,7 +110,7 @@ def _splats(
     scattered = scatter(mesh, options.splats, rng)
     painted = fusion.paint(scattered.points)
     options.progress("placing splats", 0.85)
-    avatar = scattered.avatar(mesh, painted.rgb, painted.busy, rng)
+    avatar = scattered.avatar(mesh, painted.rgb, painted.detail, rng)
     keys = key_views([frame.turn for frame in frames])  # all frames would add little, and take gigabytes
     shots = [shots[index] for index in keys]
     return fitted_to_photos(
@@ -199,4 +199,5 @@ def _problem(fit: BodyFit, used: int) -> str:
 def _unseen_fraction(mesh: RiggedMesh, fusion: Fusion) -> float:
     """Return the fraction of the skin's area that no frame shows."""
     faces = mesh.parts[0].faces
-    return float(np.average(fusion.seen[faces].mean(axis=1) < MIN_TRUST, weights=triangle_areas(mesh.vertices, faces)))
+    hidden = fusion.visibility[faces].mean(axis=1) < MIN_TRUST
+    return float(np.average(hidden, weights=triangle_areas(mesh.vertices, faces)))

@@ -1,4 +1,4 @@
-"""From a rigged, textured mesh to a Gaussian avatar: flat discs that tile the visible surface (cells.py)."""
+"""Make a Gaussian avatar from a rigged, textured mesh: flat discs that tile the visible surface (cells.py)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,17 @@ from glsplat.extras.authoring.sample.cells import Cells, Cloud, SamplerConfig, a
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["FEWEST", "SamplerConfig", "allot", "face_densities", "face_zones", "joint_zones", "make_avatar"]
+__all__ = ["MIN_SPLATS", "SamplerConfig", "allot", "face_densities", "face_zones", "joint_zones", "make_avatar"]
 
 Progress = Callable[[str, float], None]
-FEWEST = 100
-"""Splats of an avatar."""
+MIN_SPLATS = 100
+"""Of an avatar."""
+_FULL_DETAIL_SPREAD = 0.12  # local standard deviation of a texture's colour
+_DETAIL_PATCH_PX = 5
+_FACE_DEPTH_M = 0.06  # before the head's joint, where the face's density is reached
+_EYE_FRONT_COSINE, _EYE_BACK_DENSITY = 0.5, 0.2  # of an eyeball; its back is never visible
+_MIN_ALPHA = 0.5
+_HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
 
 
 def make_avatar(
@@ -33,25 +39,25 @@ def make_avatar(
     config: SamplerConfig | None = None,
     progress: Progress | None = None,
 ) -> Avatar:
-    """A Gaussian avatar of ``mesh`` in its zero pose: discs on the visible surface, SH degree 0, four influences.
+    """Return a Gaussian avatar of ``mesh`` in its zero pose: discs on the visible surface, of SH degree 0.
 
-    With the mesh's expressions as its shapes. On the SMPL-X rig, hands and head get a fixed share of the splats.
-    Surface no camera can see in any of a few
-    poses (skin under cloth, the inside of the mouth, cut-out texels) gets none. Deterministic in ``seed``.
-    Raises FormatError for a mesh with nothing to see or fewer than 100 splats.
+    It has four influences for each splat, and the mesh's expressions as shapes. On the SMPL-X rig, hands and head get a
+    fixed share of the splats. Surface that no camera sees in any of a few poses (skin under cloth, the inside of the
+    mouth, cut-out texels) gets none. Deterministic in ``seed``. Raises FormatError for a mesh without visible surface,
+    or for fewer than 100 splats.
     """
-    if splats < FEWEST:
-        raise FormatError(f"an avatar needs at least {FEWEST} splats, not {splats}")
+    if splats < MIN_SPLATS:
+        raise FormatError(f"an avatar needs at least {MIN_SPLATS} splats, not {splats}")
     config = config or SamplerConfig()
     report = progress or (lambda stage, done: None)
     rng = np.random.default_rng(seed)
     report("finding the visible surface", 0.0)
-    seen = visible_surface(mesh, config.probe) if config.probe else None
-    zone = face_zones(mesh) if seen is None else np.where(seen.faces, face_zones(mesh), -1)
+    visible = visible_surface(mesh, config.probe) if config.probe else None
+    zone = face_zones(mesh) if visible is None else np.where(visible.faces, face_zones(mesh), -1)
     chosen: list[Cells] = []
     for index, (label, count) in enumerate(allot(splats, zone, config)):
         report("placing splats", index / 4)
-        cloud = _sample_surface(mesh, seen, zone == label, count * config.samples, rng, config)
+        cloud = _sample_surface(mesh, visible, zone == label, count * config.samples, rng, config)
         if cloud is not None and count:
             chosen.append(tessellate(cloud, count, config, rng))
     if not chosen:
@@ -62,7 +68,7 @@ def make_avatar(
 
 def _sample_surface(
     mesh: RiggedMesh,
-    seen: VisiblePart | None,
+    visible: VisiblePart | None,
     chosen: NDArray[np.bool_],
     count: int,
     rng: np.random.Generator,
@@ -89,46 +95,43 @@ def _sample_surface(
         mine = np.flatnonzero(part_of == i)
         uv = np.einsum("nk,nkc->nc", bary[mine], part.uv[original[mine] - first[i]])
         rgba[mine], detail[mine] = part.sample(uv), _detail(part).sample(uv)[:, 0]
-    solid = rgba[:, 3] >= 0.5
+    kept = rgba[:, 3] >= _MIN_ALPHA
     normals = surface.face_normals[which]
-    if seen is not None:
-        solid &= seen.is_visible(points, normals, part_of, config.reach)
-    if not solid.any():
+    if visible is not None:
+        kept &= visible.is_visible(points, normals, part_of, config.reach)
+    if not kept.any():
         return None
     points, which, bary, corners, rgba, part_of, normals, detail = (
-        a[solid] for a in (points, which, bary, corners, rgba, part_of, normals, detail)
+        a[kept] for a in (points, which, bary, corners, rgba, part_of, normals, detail)
     )
-    drawn = density[which]
+    density_at = density[which]
     return Cloud(
         points=points,
         normals=normals,
         rgb=rgba[:, :3],
-        share=1 / drawn,
-        density=drawn * (1 + config.detail_boost * np.clip(detail / _BUSY, 0, 1)),
+        share=1 / density_at,
+        density=density_at * (1 + config.detail_boost * np.clip(detail / _FULL_DETAIL_SPREAD, 0, 1)),
         layer=part_of.astype(np.float64),
         corners=barycentric_matrix(corners, bary, len(mesh.vertices)),
         skin=skin_of(mesh),
-        area=float(surface.area * solid.mean()),
-        faces=original[solid],
+        area=float(surface.area * kept.mean()),
+        faces=original[kept],
     )
 
 
-_BUSY = 0.12  # local standard deviation of colour that counts as fully busy
-
-
 def _detail(part: MeshPart) -> MeshPart:
-    """The part with a texture that holds the local standard deviation of its colour (5 x 5 texels)."""
-    color = part.texture[..., :3].astype(np.float32) / 255
-    variance = cv2.blur(color**2, (5, 5)) - cv2.blur(color, (5, 5)) ** 2
+    """Return the part with a texture of the local standard deviation of its colour."""
+    color, patch = part.texture[..., :3].astype(np.float32) / 255, (_DETAIL_PATCH_PX,) * 2
+    variance = cv2.blur(color**2, patch) - cv2.blur(color, patch) ** 2
     spread = np.sqrt(np.maximum(variance, 0).sum(axis=2))
     texture = np.repeat(np.rint(np.clip(spread, 0, 1) * 255).astype(np.uint8)[..., None], 4, axis=2)
     return replace(part, texture=texture)
 
 
 def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float64]:
-    """[F] relative density of splats: the front of the head counts more, and the front of an eyeball still more.
+    """Return [F] relative densities of splats: higher for the front of the head, highest for the front of eyeballs.
 
-    What expressions unfold (lids, lips) counts by its largest area.
+    Surface that expressions unfold (lids, lips) counts by its largest area.
     """
     names = mesh.skeleton.names
     density = np.ones(len(mesh.vertices))
@@ -136,13 +139,13 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
         head = mesh.skeleton.joints[names.index("head")]
         owns = np.array([name in HEAD for name in names])
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
-        front = np.clip((mesh.vertices[:, 2] - head[2]) / 0.06, 0, 1)
+        front = np.clip((mesh.vertices[:, 2] - head[2]) / _FACE_DEPTH_M, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
     return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost) * area_factors(mesh)
 
 
 def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:
-    """[F] an iris is a centimetre wide and needs more splats than skin; the back of an eyeball shows to nobody."""
+    """Return [F] factors for eyeballs: an iris is a centimetre wide and needs more splats than skin."""
     density = np.ones(len(mesh.faces))
     owner = strongest_joint(mesh.joints, mesh.weights)[mesh.faces[:, 0]]
     middle = mesh.vertices[mesh.faces].mean(axis=1)
@@ -150,28 +153,26 @@ def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:
         ball = owner == joint
         if name in EYES and ball.any():
             away = middle[ball] - mesh.vertices[mesh.faces[ball]].mean(axis=(0, 1))
-            density[ball] = np.where(away[:, 2] > 0.5 * np.linalg.norm(away, axis=1), boost, 0.2)
+            front = away[:, 2] > _EYE_FRONT_COSINE * np.linalg.norm(away, axis=1)
+            density[ball] = np.where(front, boost, _EYE_BACK_DENSITY)
     return density
 
 
-_HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
-
-
 def joint_zones(names: Sequence[str]) -> NDArray[np.intp]:
-    """[J] zone of what each joint moves: 0 the rest, 1 left hand, 2 right hand, 3 head."""
+    """Return [J] the zone of each joint: 0 the rest, 1 left hand, 2 right hand, 3 head."""
     hands = [tuple(f"{side}_{part}" for part in _HAND) for side in ("left", "right")]
     zones = [3 if name in HEAD else 1 if name.startswith(hands[0]) else 2 * name.startswith(hands[1]) for name in names]
     return np.array(zones, np.intp)
 
 
 def face_zones(mesh: RiggedMesh) -> NDArray[np.intp]:
-    """[F] zone of each triangle by its strongest joint (``joint_zones``)."""
+    """Return [F] the zone of each triangle, by its strongest joint (``joint_zones``)."""
     strongest = strongest_joint(mesh.joints, mesh.weights)
     return np.median(joint_zones(mesh.skeleton.names)[strongest][mesh.faces], axis=1).astype(np.intp)
 
 
 def allot(total: int, zone: NDArray[np.intp], config: SamplerConfig) -> list[tuple[int, int]]:
-    """Zones that have visible triangles, each with its number of splats; the rest of the body takes what is left."""
+    """Return the zones with visible triangles, each with its number of splats; the body takes the remainder."""
     shares = {1: config.hand_share, 2: config.hand_share, 3: config.head_share}
     counts = {label: round(total * share) for label, share in shares.items() if (zone == label).any()}
     if (zone == 0).any():

@@ -10,9 +10,9 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_face import with_expressions
-from glsplat.extras.authoring.faces.blinks import BLINKS, blink_that_shuts, with_blink
-from glsplat.extras.authoring.faces.eyeballs import IRISES, eye_texture, eyeballs, with_eyeballs
-from glsplat.extras.authoring.faces.openings import lid_edges, openings
+from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES, closing_weight, with_blink
+from glsplat.extras.authoring.faces.eyeballs import IRIS_COLOURS, eye_texture, fit_eyeballs, with_eyeballs
+from glsplat.extras.authoring.faces.openings import find_openings, lid_edges
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.faces.figures import EYES, person
@@ -42,16 +42,16 @@ def seeing() -> RiggedMesh:
 
 def shut(mesh: RiggedMesh) -> np.ndarray:
     """[V, 3] the offsets of a blink of both eyes."""
-    return mesh.morphs.moved(Pose(STILL, expression=dict.fromkeys(BLINKS, 1.0)), len(mesh.vertices))
+    return mesh.morphs.moved(Pose(STILL, expression=dict.fromkeys(BLINK_SHAPES, 1.0)), len(mesh.vertices))
 
 
-def test_lids_meet_and_go_no_farther() -> None:
+def test_lids_stop_where_they_meet() -> None:
     mesh, wide = seeing(), 0.6  # the upper lid at rest is there already but for so much of its way
     drawn = np.where(lid_corners(mesh)[:, None], (1 - wide) * 0.5 * shut(mesh), 0)
     mesh = replace(mesh, vertices=mesh.vertices + drawn)
-    balls = eyeballs(mesh, *EYES)
-    share = float(np.mean([blink_that_shuts(mesh, eye) for eye in openings(mesh, balls)]))
-    blinking = with_blink(mesh, dict.fromkeys(BLINKS, share))
+    balls = fit_eyeballs(mesh, *EYES)
+    share = float(np.mean([closing_weight(mesh, eye) for eye in find_openings(mesh, balls)]))
+    blinking = with_blink(mesh, dict.fromkeys(BLINK_SHAPES, share))
     moves = shut(blinking)[:, 1]
     for ball in balls:
         edges = lid_edges(mesh, ball, 0.9)
@@ -62,9 +62,9 @@ def test_lids_meet_and_go_no_farther() -> None:
     assert 0.2 < share <= 1
 
 
-def test_eyeballs_give_way_by_three_millimetres_and_nothing_else_changes() -> None:
+def test_eyeballs_retreat_by_three_millimetres_and_nothing_else_changes() -> None:
     mesh = seeing()
-    made = with_blink(mesh, dict.fromkeys(BLINKS, 0.5))
+    made = with_blink(mesh, dict.fromkeys(BLINK_SHAPES, 0.5))
     ball = np.unique(np.concatenate([one.faces for one in mesh.parts if one.name in EYES]))
     skin = np.setdiff1d(np.arange(len(mesh.vertices)), ball)
     before, after = shut(mesh), shut(made)
@@ -76,7 +76,7 @@ def test_eyeballs_give_way_by_three_millimetres_and_nothing_else_changes() -> No
     assert np.array_equal(moved[0], moved[1])
 
 
-@pytest.mark.parametrize("iris", IRISES)
+@pytest.mark.parametrize("iris", IRIS_COLOURS)
 def test_an_iris_has_a_black_pupil_a_dark_rim_and_is_never_red(iris: str) -> None:
     texture = eye_texture(iris, 0.015)[..., :3].astype(int)
     rows = len(texture)
@@ -94,7 +94,7 @@ def test_the_ball_turns_about_its_middle_and_stays_where_it_is() -> None:
     mesh = person()
     made = with_eyeballs(mesh, "eyes", "blue")
     assert [one.name for one in made.parts] == ["skin", "mouth", *EYES]
-    for ball in eyeballs(made, *EYES):
+    for ball in fit_eyeballs(made, *EYES):
         index = made.skeleton.names.index(ball.joint)
         assert np.abs(made.skeleton.joints[index] - ball.centre).max() < 1e-4
         rotations = np.zeros((55, 3))
@@ -104,8 +104,8 @@ def test_the_ball_turns_about_its_middle_and_stays_where_it_is() -> None:
         assert np.abs(np.linalg.norm(posed - ball.centre, axis=1) - ball.radius).max() < 1e-4
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_invalid_parts_and_colours_are_refused() -> None:
     with pytest.raises(FormatError, match="an iris is one of brown, dark brown, blue, grey, green, not 'red'"):
         with_eyeballs(person(), "eyes", "red")
     with pytest.raises(FormatError, match="left_eye_smplhf"):
-        eyeballs(person(), "skin")
+        fit_eyeballs(person(), "skin")

@@ -11,9 +11,9 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.open_face import with_expressions
-from glsplat.extras.authoring.faces.eyeballs import eyeballs
-from glsplat.extras.authoring.faces.lashes_and_hair import VEIL, with_brow_hairs, with_lashes, with_strands
-from glsplat.extras.authoring.faces.openings import lid_edges, openings
+from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs
+from glsplat.extras.authoring.faces.lashes_and_hair import LID_SHADOW_RGB, with_brow_hairs, with_lashes, with_strands
+from glsplat.extras.authoring.faces.openings import find_openings, lid_edges
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.pose import Pose
@@ -31,7 +31,7 @@ def expressive() -> RiggedMesh:
 
 def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
     mesh = expressive()
-    for ball in eyeballs(mesh, "eyes"):
+    for ball in fit_eyeballs(mesh, "eyes"):
         edges = lid_edges(mesh, ball, 0.9)
         assert len(edges.side) > 25 and (edges.upper > edges.lower).all()
         reach = np.linalg.norm(np.concatenate([edges.upper_at, edges.lower_at]) - ball.centre, axis=1) / ball.radius
@@ -46,7 +46,7 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
 def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     mesh = expressive()
     avatar = smiling()
-    made = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")))
+    made = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")))
     count = len(avatar.splats)
     assert len(made.splats) - count > 200 and made.shapes is not None and avatar.shapes is not None
     assert np.array_equal(made.splats.means[:count], avatar.splats.means)
@@ -57,7 +57,7 @@ def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     lashes, lights = moved[count:-2], moved[-2:]
     assert np.quantile(lashes[:, 1], 0.2) < -0.004
     assert (lights[:, 2] < -0.007).all() and np.abs(lights[:, :2]).max() < 1e-4
-    quiet = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")), strength=0.5, light=False)
+    quiet = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")), strength=0.5, light=False)
     assert len(quiet.splats) == len(made.splats) - 2
     assert np.allclose(quiet.splats.opacities[count:], 0.5 * made.splats.opacities[count:-2], atol=1e-6)
 
@@ -126,11 +126,11 @@ def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
     assert with_brow_hairs(bald, browed, "beard", 160) is bald
 
 
-def test_veils_go_with_the_lids_without_stretching() -> None:
+def test_lid_shadows_follow_the_lids_without_stretching() -> None:
     mesh = expressive()
     avatar = smiling()
-    lashed = with_lashes(avatar, mesh, openings(mesh, eyeballs(mesh, "eyes")))
+    lashed = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")))
     shapes, made = lashed.shapes, lashed.splats
-    veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - VEIL).max(axis=1) < 1e-3
+    veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - LID_SHADOW_RGB).max(axis=1) < 1e-3
     assert shapes is not None and veils.sum() > 60
     assert not shapes.bends[veils[shapes.rows]].any() and np.abs(shapes.metres[veils[shapes.rows]]).max() > 0.004

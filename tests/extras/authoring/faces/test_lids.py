@@ -9,9 +9,9 @@ import numpy as np
 
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.faces.blinks import BACK
-from glsplat.extras.authoring.faces.eyeballs import Eyeball, eyeballs
-from glsplat.extras.authoring.faces.lashes_and_hair import FRINGES, with_lashes
+from glsplat.extras.authoring.faces.blinks import EYEBALL_RETREAT_M
+from glsplat.extras.authoring.faces.eyeballs import Eyeball, fit_eyeballs
+from glsplat.extras.authoring.faces.lashes_and_hair import LASH_SPLATS, with_lashes
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.lids import with_lids
 from glsplat.extras.authoring.faces.openings import Opening, lid_edges
@@ -30,12 +30,12 @@ def eyes() -> list[Opening]:
 
 @lru_cache(maxsize=1)
 def painted() -> Avatar:
-    """Skin below the eyes' middle a little redder than above, dark brows, white eyes and what lies on lids blue."""
+    """Skin below the eyes' middle a little redder than above, dark brows, white eyes and blue lids."""
     mesh = face().mesh
     avatar = with_shapes(avatar_on(mesh, 3000), mesh)
     splats, means = avatar.splats, avatar.splats.means.astype(np.float64)
     rgb = np.tile(SKIN, (len(means), 1))
-    for ball in eyeballs(mesh, "eyes"):
+    for ball in fit_eyeballs(mesh, "eyes"):
         ways = means - ball.centre
         far = np.linalg.norm(ways, axis=1)
         rgb[(ways[:, 1] < 0) & (far < 0.05)] += (0.06, 0, 0)
@@ -80,11 +80,11 @@ def test_an_eye_that_is_shut_is_covered_by_skin_and_an_open_one_is_not() -> None
         posed = shut(much)
         means, size = posed.means[count:][solid] - ball.centre, np.linalg.norm(posed.shapes[count:][solid], axis=1)
         far = np.linalg.norm(means, axis=1)
-        before = far > ball.radius if not much else np.ones(len(far), bool)  # what is in the eye is not seen
+        before = far > ball.radius if not much else np.ones(len(far), bool)  # inside the eye nothing is visible
         apart = np.linalg.norm(ways[:, None] * far[None, before, None] - means[before], axis=2)
         nearest.append((apart / np.maximum(size[before].max(axis=1), 1e-9)).min(axis=1))
         if much:
-            assert far[far < 0.03].min() > ball.radius + BACK[2]  # before the eye, which draws back
+            assert far[far < 0.03].min() > ball.radius + EYEBALL_RETREAT_M[2]  # before the eye, which draws back
     assert nearest[1].max() < 1.5  # standard deviations: something lies over every place
     lower = nearest[0][: len(ways) * 2 // 3]  # just below an upper lid's edge its own skin may be
     assert lower.min() > 1.5 and np.median(lower) > 5
@@ -95,15 +95,15 @@ def test_a_lid_that_is_half_shut_is_before_the_eye_and_ends_above_the_lower_one(
     rest, whole = shut(0.0).means, shut(1.0).means
     for ball, edges in eyes():
         mine = np.flatnonzero(np.linalg.norm(whole[count:] - ball.centre, axis=1) < 0.03) + count
-        upper = mine[(whole - rest)[mine, 1] < -0.003]  # what comes down
+        upper = mine[(whole - rest)[mine, 1] < -0.003]  # the splats that come down
         assert len(upper) > 50
         ways = half[upper] - ball.centre
-        assert np.linalg.norm(ways, axis=1).min() > ball.radius + 0.5 * BACK[2] - 0.001
+        assert np.linalg.norm(ways, axis=1).min() > ball.radius + 0.5 * EYEBALL_RETREAT_M[2] - 0.001
         assert np.median(edges.above(ways)[0]) > np.radians(4)
         assert (rest[mine, 1] - whole[mine, 1]).max() > 0.005
 
 
-def test_it_has_the_hue_of_the_skin_about_it_shaded_as_lids_are_and_not_of_eyes_or_brows() -> None:
+def test_a_lid_has_the_hue_of_the_skin_around_it_and_not_of_eyes_or_brows() -> None:
     ball, _edges = eyes()[0]
     count = len(painted().splats)
     rgb = lidded().splats.sh[count:, 0].astype(np.float64) * SH_C0 + 0.5
@@ -119,7 +119,7 @@ def test_it_has_the_hue_of_the_skin_about_it_shaded_as_lids_are_and_not_of_eyes_
     assert across.min() < 0.93 * across.max()  # a crease above, or the shade of lashes below
 
 
-def test_what_the_lid_covers_shrinks_and_a_line_of_lashes_comes_where_the_lids_meet() -> None:
+def test_covered_splats_shrink_and_a_lash_line_appears_where_the_lids_meet() -> None:
     count, made = len(painted().splats), lidded()
     rest, whole = shut(0.0), shut(1.0)
     size = [np.linalg.norm(one.shapes[:count], axis=1).max(axis=1) for one in (rest, whole)]
@@ -135,7 +135,7 @@ def test_what_the_lid_covers_shrinks_and_a_line_of_lashes_comes_where_the_lids_m
         assert np.ptp(line[:, 0]) > 0.012
 
 
-def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
+def test_other_splats_stay_and_without_visible_skin_lids_are_grey() -> None:
     count = len(painted().splats)
     for key in ("means", "quats", "scales", "opacities", "sh"):
         assert np.array_equal(getattr(lidded().splats, key)[:count], getattr(painted().splats, key))
@@ -150,7 +150,7 @@ def test_other_splats_stay_and_somebody_without_skin_gets_grey_lids() -> None:
 def test_lashes_come_before_the_lid_and_turn_down() -> None:
     bare = painted()
     given = with_lashes(bare, face().mesh, eyes(), light=False)
-    first, end = len(bare.splats), len(bare.splats) + FRINGES * len(eyes())
+    first, end = len(bare.splats), len(bare.splats) + LASH_SPLATS * len(eyes())
     made = with_lids(given, face().mesh, eyes(), range(first, end))
     posed = [winking(made, much).means for much in (0.0, 1.0)]
     for ball, edges in eyes():

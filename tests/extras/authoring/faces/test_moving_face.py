@@ -60,7 +60,7 @@ def test_a_person_from_a_photograph_gets_52_shapes_and_keeps_every_splat_but_abo
     assert again.splats.means.tobytes() == made.splats.means.tobytes()
 
 
-def test_nothing_is_behind_closed_lips_that_stands_out_of_them_and_no_splat_becomes_a_string() -> None:
+def test_nothing_pokes_through_closed_lips_and_no_splat_becomes_a_string() -> None:
     count = len(bare().splats)
     middle = face().mesh.vertices[mouth_lining().upper].mean(axis=0)
     rest, far = posed().means[count:], posed(jawOpen=1.0)
@@ -71,7 +71,7 @@ def test_nothing_is_behind_closed_lips_that_stands_out_of_them_and_no_splat_beco
     assert (size[1] / size[0]).max() < 1.5
 
 
-def test_teeth_are_told_apart_lighter_ahead_and_no_longer_than_crowns() -> None:
+def test_teeth_are_separate_brighter_in_front_and_no_longer_than_crowns() -> None:
     parts = open_face()
     uv, texture = paint_teeth(parts.mouth, parts.faces, parts.tooth, parts.lower)
     high, wide = texture.shape[:2]
@@ -93,7 +93,7 @@ def test_teeth_are_told_apart_lighter_ahead_and_no_longer_than_crowns() -> None:
 
 
 def lit_by(white: float) -> float:
-    """How light the teeth are of somebody whose eyeballs are so light."""
+    """Return the brightness of the teeth for eyeballs of this brightness."""
     sh = bare().splats.sh.copy()
     ball = np.isin(bare().skin.joints[:, 0], [bare().skeleton.names.index(name) for name in EYES])
     assert ball.sum() > 5
@@ -111,7 +111,7 @@ def test_teeth_are_as_light_as_the_whites_of_the_eyes() -> None:
     assert 0.6 < dim / bright < 0.8 and 0.5 < dark / bright < 0.6
 
 
-def test_lips_shade_what_is_behind_their_rims_and_go_with_them() -> None:
+def test_lip_shadows_lie_behind_the_rims_and_move_with_the_lips() -> None:
     made, count = faced(), len(bare().splats)
     rgb = made.splats.sh[count:, 0] * SH_C0 + 0.5
     veils = np.flatnonzero(np.abs(rgb - np.array((30, 10, 9)) / 255).max(axis=1) < 2e-3) + count
@@ -121,10 +121,10 @@ def test_lips_shade_what_is_behind_their_rims_and_go_with_them() -> None:
     assert moved[:, 1].min() < -0.012 and np.abs(moved[:, 1]).min() < 0.004  # the lower lip's, and the upper one's
 
 
-def test_where_no_eye_is_seen_what_the_photograph_has_there_stays() -> None:
+def test_without_visible_eyes_the_photographs_splats_stay() -> None:
     avatar = bare()
     count = len(avatar.splats)
-    made = with_face(avatar, face(), count + FACE_SPLATS, seen=False)
+    made = with_face(avatar, face(), count + FACE_SPLATS, eyes_visible=False)
     balls = np.stack([eye.ball.centre for eye in face().eyes])
     about = (np.linalg.norm(avatar.splats.means[:, None] - balls, axis=2) < 0.034).any(axis=1)
     assert about.sum() > 100 and np.array_equal(made.splats.sh[:count][about], avatar.splats.sh[about])

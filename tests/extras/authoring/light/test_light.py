@@ -12,7 +12,7 @@ from glsplat.extras.authoring.geometry.attribute_transfer import transferred_sur
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
 from glsplat.extras.authoring.light.captured_light import CapturedLight, with_captured_light
 from glsplat.extras.authoring.light.cloth_normals import cloth_normals
-from glsplat.extras.authoring.light.surfaces import nearest_open, with_surface
+from glsplat.extras.authoring.light.surfaces import locate_splats, with_surface
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -44,7 +44,7 @@ def test_a_ball_is_open_and_its_normals_point_out() -> None:
 
 
 @pytest.mark.check
-def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
+def test_inner_surface_is_dark_and_gives_no_splat_its_normal() -> None:
     mesh = rigged(ball(0.3), ball(0.27, name="inside"))
     outer = len(ball(0.3)[0])
     occlusion = ambient_occlusion(mesh, mesh.vertices, 24)
@@ -52,19 +52,19 @@ def test_what_lies_inside_is_dark_and_lends_nothing_its_normal() -> None:
     near = rigged(ball(0.3), ball(0.296, name="inside"))  # as the inside of a cheek
     splats = on_the_vertices(near, outer).splats
     deep = replace(splats, means=(splats.means - (0, 1, 0)) * 0.992 + (0, 1, 0))
-    assert nearest_open(near, deep, occlusion).at(occlusion).min() > 0.8
-    assert nearest_open(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
+    assert locate_splats(near, deep, occlusion).at(occlusion).min() > 0.8
+    assert locate_splats(near, deep, np.ones(2 * outer)).at(occlusion).max() < 0.1  # as if it were open
 
 
-def test_of_cloth_folded_over_itself_the_outer_side_is_taken() -> None:
+def test_folded_cloth_gives_its_outer_side() -> None:
     near = rigged(ball(0.3), ball(0.299, name="folded"))  # a millimetre beneath, where some of the sky is seen
     outer = len(ball(0.3)[0])
     half_open = np.repeat([0.7, 0.25], outer)
     splats = on_the_vertices(near, 2 * outer).splats
-    assert nearest_open(near, splats, half_open).at(half_open).min() > 0.65
+    assert locate_splats(near, splats, half_open).at(half_open).min() > 0.65
 
 
-def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
+def test_moved_splats_keep_their_surface_and_infinite_ones_are_tolerated() -> None:
     splats = cloud(50)
     moved = replace(splats, means=splats.means + 1e-4)
     surface = random_surface(50)
@@ -78,7 +78,7 @@ def test_moved_splats_keep_theirs_and_infinite_ones_do_no_harm() -> None:
     assert transferred_surface(None, splats, moved) is None
 
 
-def test_colours_that_no_photograph_gave_hold_no_light() -> None:
+def test_added_splats_hold_no_captured_light() -> None:
     mesh = rigged(ball(0.3))
     count = len(mesh.vertices)
     normals = vertex_normals(mesh.vertices, mesh.faces)
@@ -88,7 +88,7 @@ def test_colours_that_no_photograph_gave_hold_no_light() -> None:
 
 
 @pytest.mark.check
-def test_only_what_lies_before_a_head_is_mixed_as_seen() -> None:
+def test_only_splats_of_the_head_are_mixed_as_seen() -> None:
     vertices, part = ball(0.3)
     inner = ball(0.296, name="inside")
     for name, changes in (("head", True), ("spine1", False)):
@@ -123,7 +123,7 @@ def off(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.asarray(np.degrees(np.arccos(np.einsum("nc,nc->n", one, other).clip(-1, 1))))
 
 
-def test_cloth_is_evened_out_and_a_face_is_kept() -> None:
+def test_normals_of_cloth_are_smoothed_and_of_a_face_kept() -> None:
     mesh, round_ = dented("head", 0.006)
     own = vertex_normals(mesh.vertices, mesh.faces)
     (evened,) = cloth_normals(mesh, [mesh.vertices])
@@ -161,7 +161,7 @@ def seen_under(lamp: tuple[float, float, float], seed: int) -> tuple[np.ndarray,
 
 @pytest.mark.parametrize("lamp", [(-0.85, -0.55, -0.6), (0.85, -0.55, -0.6), (0.1, -0.9, -0.6)])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_lamp_from_aside_is_found(lamp: tuple[float, float, float], seed: int) -> None:
+def test_a_lamp_at_the_side_is_found(lamp: tuple[float, float, float], seed: int) -> None:
     normals, colours = seen_under(lamp, seed)
     up, towards = np.array([0.0, -1, 0]), np.array([0.0, 0, -1])
     found = find_light(normals, colours, np.ones(4000), up, towards, DOUBTS)

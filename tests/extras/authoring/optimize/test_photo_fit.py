@@ -42,7 +42,7 @@ def painted(scene: Scene) -> tuple[Avatar, Colours]:
     strewn = scatter(scene.mesh, 4000, rng)
     painter = painter_of(scene.body, scene.shots, strewn.points)
     first = painter.paint(strewn.points)
-    return strewn.avatar(scene.mesh, first.rgb, first.busy, rng), painter.colours
+    return strewn.avatar(scene.mesh, first.rgb, first.detail, rng), painter.colours
 
 
 def drawn(avatar: Avatar, picture: Any) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.meshes import RiggedMesh
 from tests.extras.authoring.paint.scene import photographed
@@ -26,7 +26,7 @@ def by_place(points: SurfacePoints) -> np.ndarray:
     return np.asarray(0.45 + 0.15 * np.sin(where * 9 + (0, 1, 2)))
 
 
-def test_texels_know_their_places() -> None:
+def test_texels_map_to_their_surface_points() -> None:
     corners = np.random.default_rng(1).uniform(0.01, 0.3, (9, 3, 2)) + np.stack(
         np.meshgrid(np.arange(3) / 3, np.arange(3) / 3), axis=-1
     ).reshape(9, 1, 2)
@@ -46,7 +46,7 @@ def test_texels_know_their_places() -> None:
     assert sorted(found.index) == inside
 
 
-def test_triangles_beyond_the_edge_and_without_area_do_no_harm() -> None:
+def test_triangles_beyond_the_edge_and_without_area_are_skipped() -> None:
     corners = np.array([[[-0.5, 0.5], [0.5, 0.5], [0.5, 1.5]], [[0.1, 0.1], [0.2, 0.2], [0.3, 0.3]]])
     found = texels_of(corners, 16, 16)
     assert set(found.face) == {0} and found.index.min() >= 0 and found.index.max() < 256
@@ -54,7 +54,7 @@ def test_triangles_beyond_the_edge_and_without_area_do_no_harm() -> None:
 
 def test_the_texture_shows_the_colours() -> None:
     size = 256
-    mesh = baked(person(), by_place, size)
+    mesh = bake(person(), by_place, size)
     assert [part.name for part in mesh.parts] == ["skin", "eyes", "mouth"]
     assert mesh.parts[0].texture.shape == (size, size, 4)
     rng = np.random.default_rng(0)
@@ -68,7 +68,7 @@ def test_the_texture_shows_the_colours() -> None:
         assert np.abs(shown - right).max() < 0.15
 
 
-def test_a_size_nobody_can_want() -> None:
+def test_a_texture_size_out_of_bounds_is_refused() -> None:
     for size in (0, 15, 8193):
         with pytest.raises(FormatError, match="16 to 8192 texels"):
-            baked(person(), by_place, size)
+            bake(person(), by_place, size)

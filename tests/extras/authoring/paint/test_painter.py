@@ -1,4 +1,4 @@
-"""Colours: what is seen is taken as it is, the light is found, and what nobody saw is guessed well."""
+"""Visible colours are kept, the light is found, and unseen colours are guessed well."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.front_to_back_transfer import find_twins
+from glsplat.extras.authoring.paint.front_to_back_transfer import match_to_front
 from glsplat.extras.authoring.paint.lamp import find_light
-from glsplat.extras.authoring.paint.painter import paint, painter_of
+from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb
@@ -32,10 +32,9 @@ def test_the_lamp_is_found(lamp: tuple[float, float, float]) -> None:
     scene = photographed("front", lamp=lamp)
     points = some_points(scene)
     front = scene.shots[0]
-    sight = front.look(points)
-    found = find_light(
-        points.directions(front.normals), sight.linear, sight.trust, front.view.root[:, 1], np.array([0, 0, -1.0])
-    )
+    sample = front.sample_surface(points)
+    normals, up = points.directions(front.normals), front.view.root[:, 1]
+    found = find_light(normals, sample.linear, sample.visibility, up, np.array([0, 0, -1.0]))
     assert np.degrees(np.arccos(found.direction @ scene.light.direction)) < 20
     assert 0.7 < found.strength / scene.light.strength < 1.4
 
@@ -61,11 +60,11 @@ def test_a_dark_picture_has_the_usual_lamp() -> None:
 def test_seen_points_have_the_pictures_colours() -> None:
     scene = photographed("front")
     points = some_points(scene)
-    painted = paint(scene.body, scene.shots, points)
-    seen = painted.seen > 0.95
+    painted = painter_of(scene.body, scene.shots, points).paint(points)
+    seen = painted.visibility > 0.95
     assert 0.1 < seen.mean() < 0.5
     assert np.median(np.abs(painted.rgb - truth(scene, points))[seen].mean(axis=1)) < 0.01
-    assert not painted.seen[points.directions(scene.shots[0].normals)[:, 2] > 0.1].any()  # they face away
+    assert not painted.visibility[points.directions(scene.shots[0].normals)[:, 2] > 0.1].any()  # they face away
 
 
 def test_colours_alone_are_those_of_the_whole_paint() -> None:
@@ -74,7 +73,7 @@ def test_colours_alone_are_those_of_the_whole_paint() -> None:
     painter = painter_of(scene.body, scene.shots, points)
     painted = painter.paint(points)
     assert np.abs(painter.colours(points) - painted.rgb).max() < 1e-5
-    for some in (painted.seen == 1, painted.seen == 0, np.zeros(len(painted.seen), bool)):
+    for some in (painted.visibility == 1, painted.visibility == 0, np.zeros(len(painted.visibility), bool)):
         few = SurfacePoints(points.corners[some], points.weights[some])
         assert np.abs(painter.colours(few) - painted.rgb[some]).max(initial=0) < 1e-5
 
@@ -84,13 +83,13 @@ def test_blocks_on_any_number_of_cores_are_the_whole(monkeypatch: pytest.MonkeyP
     points = some_points(scene)
     painter = painter_of(scene.body, scene.shots, points)
     whole, found = painter.paint(points), set()
-    monkeypatch.setattr("glsplat.extras.authoring.paint.painter._BLOCK", len(points.corners) // 3 - 7)
+    monkeypatch.setattr("glsplat.extras.authoring.paint.painter._BLOCK_POINTS", len(points.corners) // 3 - 7)
     for count in (1, 3):
         monkeypatch.setattr("glsplat.extras.authoring.compute.threads.cores", lambda count=count: count)
         parts = painter.paint(points)
-        for name in ("rgb", "seen", "busy"):
+        for name in ("rgb", "visibility", "detail"):
             assert np.allclose(getattr(parts, name), getattr(whole, name), atol=2e-6)
-        found.add(parts.rgb.tobytes() + parts.seen.tobytes() + parts.busy.tobytes())
+        found.add(parts.rgb.tobytes() + parts.visibility.tobytes() + parts.detail.tobytes())
     assert len(found) == 1
     assert painter.paint(points.take(slice(0, 0))).rgb.shape == (0, 3)
 
@@ -98,7 +97,7 @@ def test_blocks_on_any_number_of_cores_are_the_whole(monkeypatch: pytest.MonkeyP
 def test_the_back_is_darker_cloth_not_bright_cloth() -> None:
     scene = photographed("front")
     points = some_points(scene)
-    painted = paint(scene.body, scene.shots, points)
+    painted = painter_of(scene.body, scene.shots, points).paint(points)
     back = (points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2] < -0.5) & (
         points.at(scene.mesh.vertices)[:, 1] < 0.8 * scene.mesh.vertices[:, 1].max()
     )
@@ -111,16 +110,16 @@ def test_the_back_is_darker_cloth_not_bright_cloth() -> None:
 
 def paint_without_light(scene: Scene, points: SurfacePoints) -> np.ndarray:
     """The front's colours as they are, at the same place behind."""
-    twins = find_twins(scene.mesh, np.zeros(len(scene.mesh.vertices), bool))
-    return to_srgb(twins.colours(scene.shots[0], points).linear)
+    matches = match_to_front(scene.mesh, np.zeros(len(scene.mesh.vertices), bool))
+    return to_srgb(matches.colours(scene.shots[0], points).linear)
 
 
-def test_a_picture_of_the_back_is_believed() -> None:
+def test_a_picture_of_the_back_gives_its_colours() -> None:
     scene = photographed("front", "back")
     points = some_points(scene)
-    painted = paint(scene.body, scene.shots, points)
+    painted = painter_of(scene.body, scene.shots, points).paint(points)
     back = points.directions(scene.shots[0].normals)[:, 2] > 0.6
-    assert painted.seen[back].mean() > 0.8
+    assert painted.visibility[back].mean() > 0.8
     assert np.median(np.abs(painted.rgb - truth(scene, points))[back].mean(axis=1)) < 0.02
 
 
@@ -136,10 +135,10 @@ def test_no_face_on_the_back_of_the_head() -> None:
     green[y.min() : y.max() + 1, x.min() : x.max() + 1] = (0, 255, 0)
     shot = type(front)(green, front.mask, front.focal, front.view, front.mesh)
     points = some_points(scene)
-    painted = paint(scene.body, [shot], points)
+    painted = painter_of(scene.body, [shot], points).paint(points)
     where = points.at(vertices)
     behind = (where[:, 1] > head[1] - 0.05) & (where[:, 2] < head[2] - 0.02)
     greenness = painted.rgb[:, 1] - painted.rgb[:, [0, 2]].mean(axis=1)
     assert behind.sum() > 20
-    assert greenness[painted.seen > 0.9].max() > 0.8
+    assert greenness[painted.visibility > 0.9].max() > 0.8
     assert greenness[behind].max() < 0.1

@@ -16,7 +16,7 @@ from glsplat.extras.authoring.check.capture import Capture, Finding
 from glsplat.extras.authoring.dress.fitted_mesh import dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import fit_body
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.paint.bake import baked
+from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.reconstruct.builtin import FittedBody, MadeAvatar
 from tests.extras.authoring.paint.scene import photographed
 
@@ -101,7 +101,7 @@ class Meshed(Detailed):
     def mesh(self, pictures: Any, masks: Any, options: Any) -> FittedBody:
         self.calls.append((pictures, masks, options))
         person = photographed("front")
-        mesh = baked(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
+        mesh = bake(person.mesh, lambda points: np.full((len(points.corners), 3), 0.3), options.texture)
         view = SimpleNamespace(overlap=0.5, landmark_error=9.0, uncertainty={})
         fit: Any = SimpleNamespace(views=[view] * len(pictures), stature=1.7)
         return FittedBody(fit=fit, mesh=mesh, unseen=0.43, seen=np.zeros(0), problem=self.problem)

@@ -7,7 +7,7 @@ import pytest
 
 from glsplat.extras.authoring.body.open_face import with_expressions
 from glsplat.extras.authoring.optimize.colour_fit import _equations, fit_colours
-from glsplat.extras.authoring.paint.painter import paint
+from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
@@ -55,8 +55,8 @@ def test_the_picture_comes_back() -> None:
     scene = photographed("front")
     rng = np.random.default_rng(0)
     strewn = scatter(scene.mesh, 3000, rng)
-    painted = paint(scene.body, scene.shots, strewn.points)
-    avatar = strewn.avatar(scene.mesh, painted.rgb, painted.busy, rng)
+    painted = painter_of(scene.body, scene.shots, strewn.points).paint(strewn.points)
+    avatar = strewn.avatar(scene.mesh, painted.rgb, painted.detail, rng)
     assert 0.99 * 3000 < len(avatar.splats) <= 3000
     assert np.isfinite(avatar.splats.means).all() and np.isfinite(avatar.splats.scales).all()
     matrix, target = _equations(avatar, scene.shots[0])

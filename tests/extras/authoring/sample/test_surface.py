@@ -1,4 +1,4 @@
-"""From mesh to splats: where they lie, how they are shaped, what they cover; and the fit to pictures."""
+"""Splats from a mesh: their places, shapes and coverage; and the fit to pictures."""
 
 import numpy as np
 import pytest

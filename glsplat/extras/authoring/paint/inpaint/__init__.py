@@ -1,1 +1,1 @@
-"""Colours of surface that no picture shows: cloth that goes on around the body, and hair behind it."""
+"""Colours of unseen surface: cloth continued around the body, and hair behind the head."""

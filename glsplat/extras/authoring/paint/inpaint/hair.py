@@ -1,4 +1,4 @@
-"""Long hair has a volume of its own: it hangs from the back of the head and does not lie in the hollow of the neck."""
+"""Let long hair hang from the back of the head, instead of following the hollow of the neck."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.body_fit import FittedView
-from glsplat.extras.authoring.paint.head import back_of_head
+from glsplat.extras.authoring.paint.head import back_of_head, vertices_of
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh
@@ -20,55 +20,57 @@ __all__ = ["with_hair"]
 
 F64 = NDArray[np.float64]
 
-_THICK = 0.012  # metres of hair over a back
-_ROUND = 0.35  # of its width: how much nearer to the front its sides are than its middle
-_BESIDE = 0.06  # metres from the middle: a head is looked at there for how far it reaches back
-_HEAD = 0.75  # share of the way down from crown to chin where hair begins to hang
-_LEAST, _FLAT = 0.01, 0.0005  # metres: what moves less stays, as a whole and each vertex
-_EVENED = 8  # times
-_SHOWN = 4.0
+_THICKNESS_M = 0.012  # of hair over a back
+_CURVE_FACTOR = 0.35  # how much nearer to the front its sides are than its middle, over its half width
+_HEAD_MIDDLE_M = 0.06  # on both sides of the middle: where the back of the head is measured
+_HANG_FRACTION = 0.75  # of the way from crown to chin: hair hangs from here
+_MAX_BACK_M = 0.08  # behind the head, at the lowest end
+_LOWEST_ROW_M = 0.05
+_MIN_MOVE_M, _MIN_VERTEX_MOVE_M = 0.01, 0.0005  # smaller moves are dropped: of all, and of each vertex
+_SMOOTHING_ROUNDS = 8
+_VISIBLE_FACTOR = 4.0  # of visibility: visible vertices keep their places
 _HEAD_JOINT = JOINT_NAMES.index("head")
 
 
 def with_hair(body: Body, shots: tuple[FittedPicture, ...]) -> tuple[FittedPicture, ...]:
-    """The pictures of a body on which hair that falls over neck and back, as the front shows it, hangs behind these."""
+    """Return the pictures with long hair, as the front shows it, hanging behind neck and back of the body."""
     front = shots[0]
     rest = front.mesh.vertices
     up = front.view.root[:, 1]
     head = back_of_head(body, front, Lamp(np.array([0.0, 0.0, -1.0]), up, 0.0), locks=False)
     hair = (head.covered * head.hair).clip(0, 1)
-    of_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
+    of_head = body.skin & vertices_of(body, "head", "jaw")
     hanging = (hair > 0) & ~of_head & body.skin
-    middle = of_head & (np.abs(rest[:, 0]) < _BESIDE)
+    middle = of_head & (np.abs(rest[:, 0]) < _HEAD_MIDDLE_M)
     lowest = float(rest[hanging, 1].min(initial=np.inf))
     if not middle.any() or lowest > front.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 1]:
         return shots  # short hair
     top, chin = rest[of_head, 1].max(), rest[of_head, 1].min()
-    begins = top - _HEAD * (top - chin)
-    row = middle & (rest[:, 1] > begins)
-    first = float(rest[row, 2].min()) if row.any() else float(rest[middle, 2].min())
-    foot = hanging & (rest[:, 1] < lowest + 0.05)
-    last = min(float(rest[foot, 2].min()) - _THICK, first + 0.08)
-    share = ((begins - rest[:, 1]) / max(begins - lowest, 1e-3)).clip(0, 1)
+    hang_start = top - _HANG_FRACTION * (top - chin)
+    row = middle & (rest[:, 1] > hang_start)
+    head_back = float(rest[row, 2].min()) if row.any() else float(rest[middle, 2].min())
+    lowest_row = hanging & (rest[:, 1] < lowest + _LOWEST_ROW_M)
+    curtain_back = min(float(rest[lowest_row, 2].min()) - _THICKNESS_M, head_back + _MAX_BACK_M)
+    share = ((hang_start - rest[:, 1]) / max(hang_start - lowest, 1e-3)).clip(0, 1)
     wide = float(np.abs(rest[hanging, 0]).max())
     bent = 1 - np.sqrt(1 - (rest[:, 0] / max(wide, 1e-3)).clip(-1, 1) ** 2)
-    curtain = first + share * (last - first) + _ROUND * wide * bent
-    back = np.where((hair > 0) & body.skin & (rest[:, 1] < begins), hair * np.minimum(curtain - rest[:, 2], 0), 0.0)
-    if back.min() > -_LEAST:
+    curtain = head_back + share * (curtain_back - head_back) + _CURVE_FACTOR * wide * bent
+    back = np.where((hair > 0) & body.skin & (rest[:, 1] < hang_start), hair * np.minimum(curtain - rest[:, 2], 0), 0.0)
+    if back.min() > -_MIN_MOVE_M:
         return shots
     near = body.neighbours
     degree = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1)
-    for _ in range(_EVENED):  # hair has no folds; faces and eyes stay
+    for _ in range(_SMOOTHING_ROUNDS):  # smooths folds; faces and eyes keep their places
         back = np.where(rest[:, 2] < float(front.mesh.skeleton.joints[_HEAD_JOINT, 2]), (near @ back) / degree, back)
-    back *= (1 - _SHOWN * front.trust).clip(0, 1)  # what the picture shows stays where it is
-    back[back > -_FLAT] = 0.0
+    back *= (1 - _VISIBLE_FACTOR * front.visibility).clip(0, 1)  # visible surface keeps its place
+    back[back > -_MIN_VERTEX_MOVE_M] = 0.0
     moved = rest.copy()
     moved[:, 2] += back
     mesh = replace(front.mesh, vertices=moved)
-    return tuple(shot.without_view_of(mesh, _seen(mesh, shot.view, back < 0)) for shot in shots)
+    return tuple(shot.without_view_of(mesh, _moved_view(mesh, shot.view, back < 0)) for shot in shots)
 
 
-def _seen(mesh: RiggedMesh, view: FittedView, some: NDArray[np.bool_]) -> FittedView:
-    """The view with ``some`` [V] vertices where the mesh has them now; their pixels, which are hidden, stay."""
+def _moved_view(mesh: RiggedMesh, view: FittedView, some: NDArray[np.bool_]) -> FittedView:
+    """Return the view with ``some`` [V] vertices where the mesh has them; their pixels, hidden, are unchanged."""
     there = mesh.posed(Pose(view.rotations)) - mesh.skeleton.joints[0]
     return replace(view, vertices=np.where(some[:, None], there @ view.root.T + view.pelvis, view.vertices))

@@ -1,4 +1,4 @@
-"""Rows of cloth along a limb: the one colour that most of each of them shows."""
+"""Cut cloth along a limb into rows, and find the main colour of each."""
 
 from __future__ import annotations
 
@@ -9,57 +9,70 @@ from numpy.typing import NDArray
 
 from glsplat.rotations import component_sums, lengths
 
-__all__ = ["ALIKE", "FEWEST", "STEP", "TOLERANCE", "Rows", "most_of", "rows_of", "steady"]
+__all__ = [
+    "MIN_ROW_WEIGHT",
+    "MIN_TOLERANCE",
+    "ROW_M",
+    "SAME_COLOUR_DISTANCE",
+    "Rows",
+    "main_colour",
+    "rows_of",
+    "tolerance_of",
+    "without_mixed_rows",
+]
 
 F64 = NDArray[np.float64]
 
-STEP = 0.01
-"""Metres of a row."""
+ROW_M = 0.01
+"""Length of a row along the limb."""
 
-FEWEST = 6.0
-"""Summed trust of a row that is believed."""
+MIN_ROW_WEIGHT = 6.0
+"""Summed visibility of a row's samples, at least."""
 
-TOLERANCE: tuple[float, float, float] = 0.06, 2.0, 0.14
-"""Least, in spreads of a row, most: how far a colour may lie from it, in square roots of linear light."""
+MIN_TOLERANCE, _TOLERANCE_PER_SPREAD, _MAX_TOLERANCE = 0.06, 2.0, 0.14
+"""Distance of a row's colours from its main one, in square roots of linear light; in proportion to their spread."""
 
-ALIKE = 0.15
-"""Colours nearer to each other than that are not told apart."""
+SAME_COLOUR_DISTANCE = 0.15
+"""Colours nearer to each other, in square roots of linear light, count as one."""
 
-_KERNEL, _SHIFTS = 0.08, 6
-_MOTLEY, _APART = 0.139, 4  # tolerance of a row of several colours; rows to those above and below it
+_KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
+_MIXED_TOLERANCE, _MIXED_GAP_ROWS = 0.139, 4  # of a row of several colours; to the rows it is compared with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Of one region, R of them."""
+    """The R rows of one region."""
 
     axis: int
-    first: float  # metres of the first row
-    colour: F64  # [R, 3] square roots
+    first: float  # metres, of the first row along the axis
+    colour: F64  # [R, 3] square roots of linear light
     tolerance: F64  # [R]
-    outer: F64  # [R, 3] square roots, of what lies farther from the middle than ``edge``
+    outer: F64  # [R, 3] square roots of linear light, of cloth farther from the middle than ``edge``
     edge: F64  # [R] metres
     pattern: NDArray[np.bool_]  # [R]
 
     @property
     def places(self) -> F64:
         """[R] metres along the axis."""
-        return np.asarray(self.first + STEP * np.arange(len(self.colour)))
+        return np.asarray(self.first + ROW_M * np.arange(len(self.colour)))
 
 
 def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> Rows | None:
-    """The rows between two ``ends`` in metres of samples ``at`` [K]; None where none has enough of them."""
-    count = max(2, int(np.ceil((ends[1] - ends[0]) / STEP)) + 1)
+    """Return the rows between ``ends`` (metres) from samples ``at`` [K] metres; None if none has enough of them.
+
+    A row takes samples within ``reach`` metres.
+    """
+    count = max(2, int(np.ceil((ends[1] - ends[0]) / ROW_M)) + 1)
     order = np.argsort(at, kind="stable")
     at, look, weight = at[order], look[order], weight[order]
     colour, tolerance, known = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool)
     for row in range(count):
-        middle = ends[0] + row * STEP
+        middle = ends[0] + row * ROW_M
         some = slice(*np.searchsorted(at, (middle - reach, middle + reach)))
-        if weight[some].sum() < FEWEST:
+        if weight[some].sum() < MIN_ROW_WEIGHT:
             continue
-        colour[row], spread = most_of(look[some], weight[some])
-        tolerance[row] = np.clip(TOLERANCE[1] * spread, TOLERANCE[0], TOLERANCE[2])
+        colour[row], spread = main_colour(look[some], weight[some])
+        tolerance[row] = tolerance_of(spread)
         known[row] = True
         if not np.isfinite(reach):
             colour[:], tolerance[:], known[:] = colour[row], tolerance[row], True
@@ -72,11 +85,16 @@ def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F6
     return Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf), np.zeros(count, bool))
 
 
-def most_of(look: F64, weight: F64) -> tuple[F64, float]:
-    """[3] the colour that most of the samples have, and how far half of them lie from it."""
+def tolerance_of(spread: float) -> float:
+    """Return the distance within which colours of a row with this ``spread`` count as its cloth."""
+    return float(np.clip(_TOLERANCE_PER_SPREAD * spread, MIN_TOLERANCE, _MAX_TOLERANCE))
+
+
+def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
+    """Return [3] the colour that most samples have (mean shift), and the median distance of the samples to it."""
     mode = np.median(look[weight >= np.median(weight)], axis=0)
-    for _ in range(_SHIFTS):
-        near = weight * np.exp(-0.5 * component_sums((look - mode) ** 2) / _KERNEL**2)
+    for _ in range(_SHIFT_STEPS):
+        near = weight * np.exp(-0.5 * component_sums((look - mode) ** 2) / _KERNEL_SIGMA**2)
         mode = (near[:, None] * look).sum(axis=0) / max(float(near.sum()), 1e-12)
     away = lengths(look - mode)
     order = np.argsort(away, kind="stable")
@@ -84,12 +102,13 @@ def most_of(look: F64, weight: F64) -> tuple[F64, float]:
     return mode, float(away[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
-def steady(rows: Rows) -> Rows:
-    """Without rows of several colours between two that agree, such as where a hem hangs aslant."""
+def without_mixed_rows(rows: Rows) -> Rows:
+    """Return the rows without those of several colours between two that agree, as where a hem hangs aslant."""
     count, colour = len(rows.colour), rows.colour.copy()
     number = np.arange(count)
-    before, after = rows.colour[(number - _APART).clip(0)], rows.colour[(number + _APART).clip(None, count - 1)]
-    odd = (rows.tolerance > _MOTLEY) & (np.linalg.norm(before - after, axis=1) < ALIKE)
-    odd &= np.linalg.norm(rows.colour - before, axis=1) > ALIKE
+    before = rows.colour[(number - _MIXED_GAP_ROWS).clip(0)]
+    after = rows.colour[(number + _MIXED_GAP_ROWS).clip(None, count - 1)]
+    odd = (rows.tolerance > _MIXED_TOLERANCE) & (np.linalg.norm(before - after, axis=1) < SAME_COLOUR_DISTANCE)
+    odd &= np.linalg.norm(rows.colour - before, axis=1) > SAME_COLOUR_DISTANCE
     colour[odd] = (before[odd] + after[odd]) / 2
     return replace(rows, colour=colour, outer=colour)

@@ -1,5 +1,4 @@
-"""Sleeves of a patterned shirt where no picture shows them: cut from the cloth of its trunk, along the arm as that goes
-down."""
+"""Paint hidden sleeves of a patterned shirt with the cloth of its trunk: down the trunk becomes along the arm."""
 
 from __future__ import annotations
 
@@ -15,15 +14,15 @@ __all__ = ["cut_sleeves"]
 
 F64 = NDArray[np.float64]
 
-_ROUND = 0.05  # metres of an arm's radius
-_ASIDE = 0.03, 0.11  # metres from the trunk's middle that are taken, beside the buttons and before the sides
+_ARM_RADIUS_M = 0.05
+_STRIP_M = 0.03, 0.11  # from the trunk's middle: between the buttons and the sides
 
 
 def cut_sleeves(mesh: RiggedMesh, front: Front, span: tuple[float, float]) -> SurfacePoints:
-    """[V] for each vertex of an arm in the zero pose a point of the trunk's front whose cloth may be the sleeve's.
+    """Return [V] for each vertex of an arm in the zero pose a point of the trunk's front with the sleeve's cloth.
 
-    ``span`` are the lowest and the highest metres of the trunk's pattern; at their ends it goes back. What lies along
-    the arm lies down the trunk, what lies around it across.
+    ``span`` is the lowest and the highest metre of the trunk's pattern, which is mirrored at its ends. Along the arm is
+    down the trunk, around the arm is across it.
     """
     rest = mesh.vertices
     wanted = rest.copy()
@@ -33,12 +32,12 @@ def cut_sleeves(mesh: RiggedMesh, front: Front, span: tuple[float, float]) -> Su
         along = (rest[mine, 0] - first[0]) * out
         bone = first + (along / max(float((last[0] - first[0]) * out), 1e-3))[:, None] * (last - first)
         around = np.arctan2(rest[mine, 2] - bone[:, 2], rest[mine, 1] - bone[:, 1])  # from the top of the arm
-        wanted[mine, 0] = out * _folded(_ROUND * (around + np.pi), *_ASIDE)
-        wanted[mine, 1] = span[1] + span[0] - _folded(span[0] + along, *span)
+        wanted[mine, 0] = out * _fold(_ARM_RADIUS_M * (around + np.pi), *_STRIP_M)
+        wanted[mine, 1] = span[1] + span[0] - _fold(span[0] + along, *span)
     return front.points(wanted)
 
 
-def _folded(along: F64, low: float, high: float) -> F64:
-    """``along``, going to and fro between two ends."""
+def _fold(along: F64, low: float, high: float) -> F64:
+    """Return ``along`` mirrored at two ends until it lies between them."""
     wide = high - low
     return np.asarray(low + wide - np.abs((along - low) % (2 * wide) - wide))

@@ -1,4 +1,4 @@
-"""A picture continued where it shows something else: colours from around, and the grain of what is nearest."""
+"""Continue a picture into holes: colours from around, and the grain of the nearest known place."""
 
 from __future__ import annotations
 
@@ -7,34 +7,36 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-__all__ = ["continued", "disc", "nearest_known", "only_in_the_middle", "sources"]
+__all__ = ["centre_prints", "disc", "fill_hole", "nearest_known", "nearest_known_labels"]
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
 
-_SMALL = 360.0  # pixels of the person's height that colours are continued at
-_REACHES = (0.012, 0.025, 0.05, 0.1, 0.2)  # of the height, the nearer the sooner
-_FLAT = 0.12  # how far cloth is continued down against across
-_SIDES = 0.7, 0.95  # halves of a trunk's width between which it is taken to look all around as it does there
-_ALIKE, _LEVEL = (22.0, 8.0, 8.0), 0.06  # of Lab, and metres of height: colours nearer than that are the same
-_FEWEST = 50  # pixels
-_SEVERAL = 6  # pixels of the sides that a colour has to be found at
-_GRAIN = 0.012  # of the height: what is finer is grain
+_FILL_HEIGHT_PX = 360.0  # of the person, where colours are filled
+_REACH_FRACTIONS = (0.012, 0.025, 0.05, 0.1, 0.2)  # of the height; nearer colours first
+_DOWN_TO_ACROSS = 0.12  # of the distances that colours are continued
+_SIDES = 0.7, 0.95  # of a trunk's half width, between which front and back are alike
+_LAB_SCALE, _HEIGHT_SCALE_M = (22.0, 8.0, 8.0), 0.06  # pixels nearer than 1 in these units have the same colour
+_MIN_SIDE_PX = 50
+_SIDE_NEIGHBOURS = 6  # pixels of a side that must share a colour
+_LEVEL_M = 0.5  # up and down, where a side needs pixels
+_GRAIN_FRACTION = 0.012  # of the height: finer detail is grain
+_GRAIN_RANGE = 0.7, 1.4
 
 
 def disc(radius: int) -> NDArray[np.uint8]:
-    """[2 radius + 1, 2 radius + 1] a round kernel of so many pixels, to grow and shrink masks by."""
+    """Return a round kernel [2 radius + 1, 2 radius + 1], ``radius`` in pixels, to dilate and erode masks."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)
 
 
 def nearest_known(known: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """[H, W] row and column of the nearest ``known`` pixel; every pixel's own where none is known."""
-    label, rows, columns = sources(known)
+    """Return [H, W] row and column of the nearest ``known`` pixel; each pixel's own if none is known."""
+    label, rows, columns = nearest_known_labels(known)
     return rows[label], columns[label]
 
 
-def sources(known: Mask) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
-    """[H, W] the number of the nearest ``known`` pixel, and [N] row and column of each number; as ``nearest_known``."""
+def nearest_known_labels(known: Mask) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
+    """Return [H, W] the label of the nearest ``known`` pixel, and [N] row and column of each label."""
     if not known.any():
         row, column = np.indices(known.shape)
         return np.arange(known.size, dtype=np.int32).reshape(known.shape), row.ravel(), column.ravel()
@@ -47,74 +49,74 @@ def sources(known: Mask) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[n
     return np.asarray(label, np.int32), source[0], source[1]
 
 
-def only_in_the_middle(picture: Picture, place: NDArray[np.float64], known: Mask) -> Mask:
-    """[H, W] where a trunk has colours that one of its sides has not at a height nearby: prints, ties, openings.
+def centre_prints(picture: Picture, place: NDArray[np.float64], known: Mask) -> Mask:
+    """Return [H, W] where a trunk has colours missing on one of its sides nearby: prints, ties, openings.
 
-    ``place`` [H, W, 2] says how far each pixel lies to the side, in halves of the width, and how high, in metres; NaN
-    beside the trunk. ``picture`` is linear; sides are looked at where they are ``known``.
+    ``place`` [H, W, 2] is how far each pixel lies to the side, over the half width, and its height in metres; NaN
+    beside the trunk. ``picture`` is linear; sides count where they are ``known``.
     """
     aside = place[..., 0]
     between = np.abs(aside) < _SIDES[1]
     lab = cv2.cvtColor(np.sqrt(picture.clip(0, 1)), cv2.COLOR_RGB2LAB)
-    features = np.concatenate([lab / np.array(_ALIKE), place[..., 1:] / _LEVEL], axis=2)
-    away = np.zeros(int(between.sum()))
+    features = np.concatenate([lab / np.array(_LAB_SCALE), place[..., 1:] / _HEIGHT_SCALE_M], axis=2)
+    distance = np.zeros(int(between.sum()))
     for sign in (-1.0, 1.0):
         at_side = known & (sign * aside > _SIDES[0]) & (sign * aside < _SIDES[1])
-        if at_side.sum() < _FEWEST:
+        if at_side.sum() < _MIN_SIDE_PX:
             continue
         height, levels = features[between][:, 3], np.sort(features[at_side][:, 3])
-        many = np.searchsorted(levels, height + 0.5) - np.searchsorted(levels, height - 0.5)
-        unlike = cKDTree(features[at_side]).query(features[between], _SEVERAL)[0][:, -1]
-        away = np.maximum(away, np.where(many > 2 * _SEVERAL, unlike, 0))
+        count = np.searchsorted(levels, height + _LEVEL_M) - np.searchsorted(levels, height - _LEVEL_M)
+        unlike = cKDTree(features[at_side]).query(features[between], _SIDE_NEIGHBOURS)[0][:, -1]
+        distance = np.maximum(distance, np.where(count > 2 * _SIDE_NEIGHBOURS, unlike, 0))
     found = np.zeros(known.shape, np.uint8)
-    found[between] = away > 1
+    found[between] = distance > 1
     kernel = np.ones((3, 3), np.uint8)
     found = cv2.dilate(cv2.morphologyEx(found, cv2.MORPH_OPEN, kernel), kernel, iterations=2)
     return np.asarray((found > 0) & np.isfinite(aside))
 
 
-def continued(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
-    """``picture`` [H, W, 3] with its ``hole`` filled from what is ``known``: across rather than down, as cloth is cut.
+def fill_hole(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
+    """Return ``picture`` [H, W, 3] with its ``hole`` filled from ``known`` pixels: across before down, as cloth is cut.
 
-    ``height`` is the person's in pixels. The grain is that of the nearest known place, mirrored at its edge.
+    ``height`` is the person's in pixels. The grain is mirrored at the edge of the nearest known place.
     """
     if not hole.any() or not known.any():
         return picture
-    scale = min(1.0, _SMALL / height)
+    scale = min(1.0, _FILL_HEIGHT_PX / height)
     size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
     weight = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     small = cv2.resize(picture * known[..., None].astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    total, sure = np.zeros_like(small), np.zeros(small.shape[:2], np.float32)
-    for share in _REACHES:
+    total, weights = np.zeros_like(small), np.zeros(small.shape[:2], np.float32)
+    for share in _REACH_FRACTIONS:
         reach = share * height * scale
-        near = cv2.GaussianBlur(weight, (0, 0), reach, sigmaY=max(_FLAT * reach, 1.0))
-        mean = cv2.GaussianBlur(small, (0, 0), reach, sigmaY=max(_FLAT * reach, 1.0))
+        near = cv2.GaussianBlur(weight, (0, 0), reach, sigmaY=max(_DOWN_TO_ACROSS * reach, 1.0))
+        mean = cv2.GaussianBlur(small, (0, 0), reach, sigmaY=max(_DOWN_TO_ACROSS * reach, 1.0))
         mean /= np.maximum(near, 1e-6)[..., None]
-        more = np.minimum(near / 0.05, 1) * np.clip(1 - sure, 0, 1)
+        more = np.minimum(near / 0.05, 1) * np.clip(1 - weights, 0, 1)
         total += more[..., None] * mean
-        sure += more
+        weights += more
     full = picture.shape[1::-1]
-    smooth = cv2.resize(total / np.maximum(sure, 1e-6)[..., None], full, interpolation=cv2.INTER_LINEAR)
-    found = hole & (cv2.resize(sure, full, interpolation=cv2.INTER_LINEAR) > 0.02)
+    smooth = cv2.resize(total / np.maximum(weights, 1e-6)[..., None], full, interpolation=cv2.INTER_LINEAR)
+    found = hole & (cv2.resize(weights, full, interpolation=cv2.INTER_LINEAR) > 0.02)
     out = picture.copy()
     out[found] = np.clip(smooth[found] * _grain(picture, known, found, height), 0, 1)
     return out
 
 
 def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
-    """[K, 1] brightness against its surroundings of the places mirrored at the edge of what is known."""
-    label, row, column = sources(known)
+    """Return [K, 1] the relative brightness of the places mirrored at the edge of the known pixels."""
+    label, row, column = nearest_known_labels(known)
     nearest, (rows, columns) = label[hole], np.nonzero(hole)
     mirrored = 2 * row[nearest] - rows, 2 * column[nearest] - columns
-    height_, width = known.shape
-    inside = (mirrored[0] >= 0) & (mirrored[0] < height_) & (mirrored[1] >= 0) & (mirrored[1] < width)
-    at = mirrored[0].clip(0, height_ - 1), mirrored[1].clip(0, width - 1)
+    rows_in_all, width = known.shape
+    inside = (mirrored[0] >= 0) & (mirrored[0] < rows_in_all) & (mirrored[1] >= 0) & (mirrored[1] < width)
+    at = mirrored[0].clip(0, rows_in_all - 1), mirrored[1].clip(0, width - 1)
     some = np.flatnonzero(inside & known[at])
     at = at[0][some], at[1][some]
     weight = known.astype(np.float32)
     light = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / 3
-    reach = max(_GRAIN * height, 1.0)
+    reach = max(_GRAIN_FRACTION * height, 1.0)
     around = cv2.GaussianBlur(light * weight, (0, 0), reach) / np.maximum(cv2.GaussianBlur(weight, (0, 0), reach), 1e-4)
     grain = np.ones((len(rows), 1), np.float32)
-    grain[some, 0] = np.clip((light[at] + 0.01) / (around[at] + 0.01), 0.7, 1.4)
+    grain[some, 0] = np.clip((light[at] + 0.01) / (around[at] + 0.01), *_GRAIN_RANGE)
     return grain

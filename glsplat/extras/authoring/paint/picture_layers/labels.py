@@ -1,9 +1,9 @@
-"""What each pixel of a person shows, from the fitted body's own projection, colours and edges.
+"""Label each pixel of a person with the layer it shows, from the fitted body's projection, colours and edges.
 
-The projection knows the order of depth and is right to a few percent of the person's height. Within that distance of
-an arm each pixel goes to arm or not by its colours (GrabCut, Rother et al. 2004), forearm and upper arm on their own,
-since a sleeve ends between them. Pieces of the room between arm and trunk, which masks hold, are told by their colour,
-too; and what lies beside the body near a hand is a thing that is held.
+The projection gives the depth order and is right to a few percent of the person's height. Within that distance of an
+arm, colours decide (GrabCut, Rother et al. 2004), for forearm and upper arm separately, since a sleeve ends between
+them. Background between arm and trunk inside the mask is found by its colour, and things beside the body near a hand
+count as held.
 """
 
 from __future__ import annotations
@@ -26,33 +26,37 @@ Labels = NDArray[np.intp]
 NOTHING = -1
 """The label of pixels that show nothing of the body."""
 
-_UNSURE = 0.03  # of the person's height: how far from a projected arm its pixels may lie
-_CORE = 0.014  # of it: so deep inside a projected arm nothing else is
-_BONE = 0.016  # of it, the width that an arm at least has
-_WIDE = 0.018, 0.035  # of it: so far aside of a bone an arm surely is, and may be
-_BEYOND = 0.5  # of the forearm's length: how far beyond the wrist the hand reaches
-_FINGER = 0.006  # of it, the width that a finger at least has
-_BELOW = 0.45  # of the upper arm: where its own layer begins for sure
-_LIKELY = 0.4, 2.0  # area of an arm against its projection; other answers are not believed
-_FEWEST = 12  # pixels of a segment that is asked for
-_ISLAND = 0.006  # of the person's area; smaller pieces of the trunk beyond an arm are nobody's
-_ROOM = 12.0, 0.25  # squared distance to the room's colours, at most, and against the person's
-_HAIR = 0.4
-_EDGED = 2  # pixels around a piece of the room that are of it where they are more like it than like the person
-_EDGE = 0.02  # of the height: deeper in the projected trunk there is no room
-_HELD, _THING = 0.06, 0.0012  # of the height to a hand; of its square
-_APART = 0.012  # of the height between the body and what is beside it
-_NOBODY = (255, 0, 255)  # a colour that no person has
+# fractions of the person's height, unless another length is named
+_ARM_REACH_FRACTION = 0.03  # pixels of an arm are at most this far from its projection
+_CORE_FRACTION, _MAX_CORE_FACTOR = 0.014, 0.6  # this deep in a projected arm is surely arm; over its greatest depth
+_BONE_WIDTH_FRACTION, _FINGER_WIDTH_FRACTION = 0.016, 0.006  # drawn widths
+_SURE_ARM_FRACTION, _MAX_ARM_FRACTION = 0.018, 0.035  # from a bone: surely arm, and perhaps
+_HAND_REACH_FACTOR = 0.5  # of the forearm's length, beyond the wrist
+_UPPER_ARM_START_FACTOR = 0.45  # of the upper arm, from the shoulder: surely arm beyond
+_AREA_RANGE = 0.4, 2.0  # of an arm over its projection; other results are discarded
+_MIN_PX = 12  # of a segment, and of either side of a cut
+_MIN_ISLAND_FRACTION = 0.006  # of the person's area; smaller pieces of trunk are nobody's
+# of background, squared distance in standard deviations: at most, and over that to the person
+_MAX_ROOM_DISTANCE, _MAX_ROOM_RATIO = 12.0, 0.25
+_HAIR_FACTOR = 0.4  # stricter near the head: hair may be fair, or thin
+_ROOM_EDGE_PX = 2  # around background, where pixels may be mixed with it
+_ROOM_DEPTH_FRACTION = 0.02  # background lies no deeper in the projected trunk
+_ROOM_REACH_FRACTION, _NEAR_FRACTION = 0.08, 0.03  # background and body colours are taken from
+_MIN_VARIANCE = 16  # of Lab
+_HELD_REACH_FRACTION, _MIN_HELD_FRACTION = 0.06, 0.0012  # to a hand; of the height squared
+_GROW_HELD_FRACTION, _MAX_HELD_GROWTH = 0.08, 4  # around a held thing; of its area
+_BESIDE_FRACTION = 0.012  # between the body and things beside it
+_NO_COLOUR = (255, 0, 255)  # Lab; no person has it
 
 
 def labels_of(
     rgb: NDArray[np.uint8], mask: Mask, segment: Labels, hand: Mask, head: Mask, bones: F64 | None = None
 ) -> Labels:
-    """[H, W] the layer that each pixel shows, NOTHING outside the ``mask`` and where the mask holds other things.
+    """Return [H, W] the layer that each pixel shows; NOTHING outside the ``mask`` and on things inside it.
 
-    ``segment`` [H, W] is what the fitted body shows there, NOTHING beside it; ``hand`` and ``head`` where that is one.
-    ``bones`` [2, 24, 2] are pixels of shoulders, elbows, wrists and 21 landmarks of the hands, left and right, not
-    finite where they are not seen.
+    ``segment`` [H, W] is the fitted body's there, NOTHING beside it; ``hand`` and ``head`` are where it has one.
+    ``bones`` [2, 24, 2] are pixels of shoulders, elbows, wrists and 21 landmarks of the hands, left and right; not
+    finite where they were not detected.
     """
     rows = np.flatnonzero(mask.any(axis=1))
     height = float(rows[-1] - rows[0] + 1)
@@ -62,69 +66,72 @@ def labels_of(
     found = map_threads(lambda k: _arm(lab, mask, segment, k, height, None if bones is None else bones[k - 1]), arms)
     for layer, arm in zip(arms, found, strict=True):
         label[arm & ((label == 0) | (layer_of(segment) == layer))] = layer
-    label[_room(lab, mask, segment, label, head, height)] = NOTHING
+    label[_background(lab, mask, segment, label, head, height)] = NOTHING
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats((label == 0).astype(np.uint8), connectivity=4)
-    small = np.flatnonzero(sizes[:, cv2.CC_STAT_AREA] < _ISLAND * mask.sum())
+    small = np.flatnonzero(sizes[:, cv2.CC_STAT_AREA] < _MIN_ISLAND_FRACTION * mask.sum())
     label[np.isin(pieces, small[small > 0]) & (count > 2)] = NOTHING
-    label[_held_things(lab, mask, segment, label, hand, height)] = NOTHING
+    label[_held_objects(lab, mask, segment, label, hand, height)] = NOTHING
     return label
 
 
 def _arm(lab: NDArray[np.uint8], mask: Mask, segment: Labels, layer: int, height: float, bones: F64 | None) -> Mask:
-    """Where the arm of this layer shows."""
+    """Return [H, W] where the arm of this layer is visible."""
     parts = [segment == number for number in (2 * layer - 1, 2 * layer)]
-    away = [_distance(part) for part in parts]
+    distance = [_distance(part) for part in parts]
     whole = parts[0] | parts[1]
     total = np.zeros(mask.shape, bool)
     for index, part in enumerate(parts):
-        if part.sum() < _FEWEST:
+        if part.sum() < _MIN_PX:
             continue
-        near = mask & (away[index] <= _UNSURE * height) & (away[index] <= away[1 - index])
+        near = mask & (distance[index] <= _ARM_REACH_FRACTION * height) & (distance[index] <= distance[1 - index])
         likely = part
         deep = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 3)
-        core = mask & (deep > min(_CORE * height, 0.6 * float(deep.max())))
+        core = mask & (deep > min(_CORE_FRACTION * height, _MAX_CORE_FACTOR * float(deep.max())))
         if bones is not None and np.isfinite(bones[:3]).all():
-            # the landmarks are nearer to the truth than the fit's depth
+            # landmarks are more precise than the fit's depth
             first, last = bones[index], bones[index + 1]
-            bone = _line(first if index else first + _BELOW * (last - first), last, mask.shape, height)
+            start = first if index else first + _UPPER_ARM_START_FACTOR * (last - first)
+            bone = _draw_bone(start, last, mask.shape, height)
             fingers = np.zeros_like(bone)
             if index and np.isfinite(bones[3:]).all():
-                fingers = _hand(bones[3:], mask.shape, height)
-            reached = _line(first, last + index * _BEYOND * (last - first), mask.shape, height)
-            aside = _distance((reached | fingers) > 0)
-            near |= mask & ((fingers > 0) | ((bone > 0) & (away[index] <= 2 * _UNSURE * height)))
-            near &= aside <= _WIDE[1] * height
-            likely = part & (aside <= _WIDE[0] * height)
+                fingers = _draw_hand(bones[3:], mask.shape, height)
+            extended = _draw_bone(first, last + index * _HAND_REACH_FACTOR * (last - first), mask.shape, height)
+            bone_distance = _distance((extended | fingers) > 0)
+            near |= mask & ((fingers > 0) | ((bone > 0) & (distance[index] <= 2 * _ARM_REACH_FRACTION * height)))
+            near &= bone_distance <= _MAX_ARM_FRACTION * height
+            likely = part & (bone_distance <= _SURE_ARM_FRACTION * height)
             core = mask & ((bone | fingers) > 0) & near
-        seen = lab.copy()
-        seen[~mask | (parts[1 - index] & ~near)] = _NOBODY
-        mine = _cut(seen, near, likely & near, core & near, away[index] <= 3 * _UNSURE * height)
-        believed = _LIKELY[0] * part.sum() < mine.sum() < _LIKELY[1] * part.sum()
-        total |= (mine if believed else part) & mask
+        visible = lab.copy()
+        visible[~mask | (parts[1 - index] & ~near)] = _NO_COLOUR
+        around = distance[index] <= 3 * _ARM_REACH_FRACTION * height
+        found = _grab_cut(visible, near, likely & near, core & near, around)
+        plausible = _AREA_RANGE[0] * part.sum() < found.sum() < _AREA_RANGE[1] * part.sum()
+        total |= (found if plausible else part) & mask
     arm = cv2.morphologyEx(total.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
     arm = cv2.morphologyEx(arm, cv2.MORPH_CLOSE, disc(2))
     _, pieces = cv2.connectedComponents(arm)
     return np.asarray((arm > 0) & np.isin(pieces, np.unique(pieces[whole & (arm > 0)])))
 
 
-def _line(first: F64, last: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
-    """[H, W] one along a bone between two pixels [2]."""
+def _draw_bone(first: F64, last: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
+    """Return [H, W] ones along a bone between two pixels [2]."""
     ends = [tuple(int(side) for side in point.clip(-1e4, 1e4)) for point in (first, last)]
-    return np.asarray(cv2.line(np.zeros(shape, np.uint8), ends[0], ends[1], 1, max(3, round(_BONE * height))))
+    width = max(3, round(_BONE_WIDTH_FRACTION * height))
+    return np.asarray(cv2.line(np.zeros(shape, np.uint8), ends[0], ends[1], 1, width))
 
 
-def _hand(points: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
-    """[H, W] one on the palm and along the fingers of a hand's landmarks [21, 2]."""
+def _draw_hand(points: F64, shape: tuple[int, ...], height: float) -> NDArray[np.uint8]:
+    """Return [H, W] ones on the palm and along the fingers of a hand's landmarks [21, 2]."""
     drawn = np.zeros(shape, np.uint8)
     at = points.clip(-1e4, 1e4).astype(np.int32)
     cv2.fillConvexPoly(drawn, cv2.convexHull(at[[0, 1, 5, 9, 13, 17]]), 1)
     chains = [at[[0, *range(first, first + 4)]] for first in (1, 5, 9, 13, 17)]
-    cv2.polylines(drawn, chains, False, 1, max(1, round(_FINGER * height)))
+    cv2.polylines(drawn, chains, False, 1, max(1, round(_FINGER_WIDTH_FRACTION * height)))
     return drawn
 
 
-def _cut(seen: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: Mask) -> Mask:
-    """GrabCut within ``near``, begun from ``likely``; ``around`` says how much beside it is looked at."""
+def _grab_cut(visible: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: Mask) -> Mask:
+    """Return the foreground of GrabCut within ``near``, starting from ``likely``; it reads pixels ``around`` only."""
     trimap = np.full(near.shape, cv2.GC_BGD, np.uint8)
     trimap[near], trimap[likely], trimap[sure] = cv2.GC_PR_BGD, cv2.GC_PR_FGD, cv2.GC_FGD
     rows, columns = np.flatnonzero(around.any(axis=1)), np.flatnonzero(around.any(axis=0))
@@ -132,70 +139,72 @@ def _cut(seen: NDArray[np.uint8], near: Mask, likely: Mask, sure: Mask, around: 
     found = np.ascontiguousarray(trimap[box])
     kinds = [int(((found == a) | (found == b)).sum()) for a, b in ((0, 2), (1, 3))]
     out = np.zeros(near.shape, bool)
-    if sure.sum() < _FEWEST or min(kinds) < _FEWEST:
+    if sure.sum() < _MIN_PX or min(kinds) < _MIN_PX:
         return out
     cv2.setRNGSeed(0)
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(np.ascontiguousarray(seen[box]), found, None, *models, 3, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(np.ascontiguousarray(visible[box]), found, None, *models, 3, cv2.GC_INIT_WITH_MASK)
     out[box] = (found == cv2.GC_FGD) | (found == cv2.GC_PR_FGD)
     return out & near
 
 
-def _room(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, head: Mask, height: float) -> Mask:
-    """What is much more like the room nearby than like arm or trunk nearby."""
+def _background(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, head: Mask, height: float) -> Mask:
+    """Return [H, W] pixels much more like the background nearby than like arm or trunk nearby."""
     layer, colours = layer_of(segment), lab.astype(np.float32)
     inner = cv2.erode(mask.astype(np.uint8), disc(2)) > 0
     outer = cv2.dilate(mask.astype(np.uint8), disc(2)) == 0
-    # where the fit has a hand and the picture has none, there may be the wall
-    cores = [
-        inner & (cv2.erode(((layer == k) & (label == k)).astype(np.uint8), disc(3)) > 0) for k in range(LAYER_COUNT)
-    ]
-    asked = [(outer, 0.08), (outer, 0.03), *((core, 0.03) for core in cores)]
-    unlike = map_threads(lambda some: _unlike(colours, some[0], some[1] * height), asked)
-    room, person = np.minimum(unlike[1], unlike[0]), np.minimum.reduce(unlike[2:])
-    shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _EDGE * height
-    strict = np.where(_distance(head) < _UNSURE * height, np.float32(_HAIR), np.float32(1))  # hair may be fair, or thin
-    found = mask & shallow & (room < _ROOM[0] * strict) & (room < _ROOM[1] * strict * person)
+    # a fitted hand that the picture lacks may lie on the wall
+    own = [((layer == k) & (label == k)).astype(np.uint8) for k in range(LAYER_COUNT)]
+    cores = [inner & (cv2.erode(one, disc(3)) > 0) for one in own]
+    jobs = [(outer, _ROOM_REACH_FRACTION), (outer, _NEAR_FRACTION), *((core, _NEAR_FRACTION) for core in cores)]
+    distances = map_threads(lambda some: _colour_distance(colours, some[0], some[1] * height), jobs)
+    room, person = np.minimum(distances[1], distances[0]), np.minimum.reduce(distances[2:])
+    shallow = cv2.distanceTransform((layer == 0).astype(np.uint8), cv2.DIST_L2, 3) < _ROOM_DEPTH_FRACTION * height
+    strict = np.where(_distance(head) < _ARM_REACH_FRACTION * height, np.float32(_HAIR_FACTOR), np.float32(1))
+    found = mask & shallow & (room < _MAX_ROOM_DISTANCE * strict) & (room < _MAX_ROOM_RATIO * strict * person)
     found = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
-    # its edges are mixed with the person
-    return np.asarray((found > 0) | (mask & (cv2.dilate(found, disc(_EDGED)) > 0) & (room < strict * person)))
+    # edges are mixed with the person
+    return np.asarray((found > 0) | (mask & (cv2.dilate(found, disc(_ROOM_EDGE_PX)) > 0) & (room < strict * person)))
 
 
-def _unlike(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[np.float32]:
-    """[H, W] squared distance of each colour to those of ``some`` pixels nearby, in standard deviations."""
+def _colour_distance(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[np.float32]:
+    """Return [H, W] squared distance of each colour to ``some`` pixels nearby, in standard deviations."""
     weight = some.astype(np.float32)
     total = cv2.GaussianBlur(weight, (0, 0), reach)
     known = np.maximum(total, 1e-5)[..., None]
     mean = cv2.GaussianBlur(colours * weight[..., None], (0, 0), reach) / known
     spread = cv2.GaussianBlur(colours**2 * weight[..., None], (0, 0), reach) / known - mean**2
-    away = component_sums((colours - mean) ** 2 / (np.maximum(spread, 0) + 16))
-    return np.where(total > 2e-3, away, np.float32(1e6))
+    distance = component_sums((colours - mean) ** 2 / (np.maximum(spread, 0) + _MIN_VARIANCE))
+    return np.where(total > 2e-3, distance, np.float32(1e6))
 
 
-def _held_things(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, hand: Mask, height: float) -> Mask:
-    """Bags, balls: what the mask holds beside the body near a hand, and what of the body has its colours."""
+def _held_objects(
+    lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labels, hand: Mask, height: float
+) -> Mask:
+    """Return [H, W] bags and balls: parts of the mask beside the body near a hand, and body pixels of their colours."""
     out = np.zeros(mask.shape, bool)
     if not hand.any():
         return out
-    body = cv2.dilate((segment >= 0).astype(np.uint8), disc(max(2, int(_APART * height)))) > 0
+    body = cv2.dilate((segment >= 0).astype(np.uint8), disc(max(2, int(_BESIDE_FRACTION * height)))) > 0
     beside = mask & (label == 0) & ~body
-    away = _distance(hand)
+    distance = _distance(hand)
     count, pieces, sizes, _ = cv2.connectedComponentsWithStats(beside.astype(np.uint8))
     for number in range(1, count):
         piece = pieces == number
-        if sizes[number, cv2.CC_STAT_AREA] < _THING * height**2 or away[piece].min() > _HELD * height:
+        small = sizes[number, cv2.CC_STAT_AREA] < _MIN_HELD_FRACTION * height**2
+        if small or distance[piece].min() > _HELD_REACH_FRACTION * height:
             continue
-        near = (_distance(piece) <= 0.08 * height) & (label == 0)
-        seen = lab.copy()
-        seen[~mask | (label > 0)] = _NOBODY
+        near = (_distance(piece) <= _GROW_HELD_FRACTION * height) & (label == 0)
+        visible = lab.copy()
+        visible[~mask | (label > 0)] = _NO_COLOUR
         core = cv2.erode(piece.astype(np.uint8), disc(1)) > 0
-        thing = _cut(seen, near, near & beside, core, _distance(piece) <= 0.16 * height)
-        out |= thing if thing.sum() < 4 * piece.sum() else piece
+        held = _grab_cut(visible, near, near & beside, core, _distance(piece) <= 2 * _GROW_HELD_FRACTION * height)
+        out |= held if held.sum() < _MAX_HELD_GROWTH * piece.sum() else piece
     return out
 
 
 def _distance(some: Mask) -> NDArray[np.float32]:
-    """[H, W] pixels to the nearest of ``some``, far where there is none."""
+    """Return [H, W] pixels to the nearest of ``some``; 1e9 if there is none."""
     if not some.any():
         return np.full(some.shape, 1e9, np.float32)
     return np.asarray(cv2.distanceTransform((~some).astype(np.uint8), cv2.DIST_L2, 3), np.float32)

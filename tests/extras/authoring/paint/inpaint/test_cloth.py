@@ -1,4 +1,4 @@
-"""Cloth goes on where nobody looks: without prints, without the room, and as far up as straps go."""
+"""Cloth continues on unseen surface: without prints and background, and as far up as straps reach."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front
-from glsplat.extras.authoring.paint.inpaint.ground import Ground
+from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -51,7 +51,7 @@ def with_picture(scene: Scene, rgb: np.ndarray) -> FittedPicture:
     return replace(scene.shots[0], rgb=np.ascontiguousarray(rgb))
 
 
-def test_a_shirts_sign_is_not_on_its_back() -> None:
+def test_a_shirts_print_is_not_on_its_back() -> None:
     scene = photographed("front")
     points, where, facing = places(scene)
     chest = (np.abs(where[:, 0]) < 0.05) & (where[:, 1] > 0.66) & (where[:, 1] < 0.76)
@@ -89,17 +89,17 @@ def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
 
 
-def test_a_hands_brightness_says_nothing() -> None:
+def test_a_hands_brightness_is_ignored() -> None:
     """Palms and nails are brighter than the backs of hands, and are believed; another hue is not."""
     back = np.array([[0.08, 0.04, 0.03]])
     one = np.ones(1)
     hand, leg = (
-        Ground(back, 0.06 * one, one, np.zeros(1, bool), np.full((1, 3), np.nan), np.array([is_hand]))
+        Material(back, 0.06 * one, one, np.zeros(1, bool), np.full((1, 3), np.nan), np.array([is_hand]))
         for is_hand in (True, False)
     )
     palm, cloth = 2.5 * back, np.array([[0.05, 0.08, 0.25]])
-    assert hand.alike(palm) == 1 and leg.alike(palm) == 0
-    assert hand.alike(cloth) == 0 and hand.alike(25 * back) == 0
+    assert hand.likeness(palm) == 1 and leg.likeness(palm) == 0
+    assert hand.likeness(cloth) == 0 and hand.likeness(25 * back) == 0
 
 
 def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,13 +112,13 @@ def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.Mon
     legs = cloth.rows[1]
     assert arms.sum() > 200 and legs is not None
     trousers = np.tile(np.median(legs.colour, axis=0) ** 2, (len(shade), 1))
-    ground = cloth.at(points)
-    deep = shot.shallow(shot.project(points.at(shot.view.vertices)), shot.layers_at(points)) > 0.02
+    material = cloth.at(points)
+    deep = shot.outline_distance(shot.project(points.at(shot.view.vertices)), shot.layers_at(points)) > 0.02
     assert (arms & deep).sum() > 50
-    assert cloth.strange(shot, points, trousers, shade, ground)[arms & deep].max() == 0
+    assert cloth.foreign(shot, points, trousers, shade, material)[arms & deep].max() == 0
     monkeypatch.setattr(FittedPicture, "over_trunk", lambda self, pixels: np.ones(len(pixels), bool))
-    assert cloth.strange(shot, points, trousers, shade, ground)[arms].min() > 0.9
-    assert cloth.strange(shot, points, ground.colour, shade, ground)[arms].max() == 0  # its own colour stays
+    assert cloth.foreign(shot, points, trousers, shade, material)[arms].min() > 0.9
+    assert cloth.foreign(shot, points, material.colour, shade, material)[arms].max() == 0  # its own colour stays
 
 
 def test_sleeves_are_cut_from_the_trunk(monkeypatch: pytest.MonkeyPatch) -> None:

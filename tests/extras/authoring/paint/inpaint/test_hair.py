@@ -1,4 +1,4 @@
-"""Hair where nobody looks: it falls as long as in front, behind the neck, with locks of its own."""
+"""Unseen hair: as long as in front, behind the neck, and with locks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
-from glsplat.extras.authoring.paint.inpaint.quilt import quilted
+from glsplat.extras.authoring.paint.inpaint.quilt import quilt
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.sample.scatter import even_points
 from glsplat.meshes import vertex_normals
@@ -44,8 +44,8 @@ def test_long_hair_hangs_behind_the_neck_and_short_hair_does_not(monkeypatch: py
     neck = np.isin(scene.body.part, [JOINT_NAMES.index("neck")]) & (before[:, 2] < np.median(before[:, 2]))
     moved = before[:, 2] - after[:, 2]
     assert moved[neck].max() > 0.02
-    front = scene.shots[0].trust > 0.5
-    assert moved[front].max() < 0.003  # what is seen stays
+    front = scene.shots[0].visibility > 0.5
+    assert moved[front].max() < 0.003  # visible surface stays
     points = even_points(shot.mesh, 30_000)
     where = points.at(shot.mesh.vertices) / shot.mesh.vertices[:, 1].max()
     behind = points.directions(vertex_normals(shot.mesh.vertices, shot.mesh.faces))[:, 2] < -0.6
@@ -61,18 +61,18 @@ def test_a_quilt_has_the_textures_brightness_and_is_the_same_each_time() -> None
     texture = np.repeat(rng.uniform(0.6, 1.4, (1, 48)), 40, axis=0).astype(np.float32)  # upright strands
     known = np.ones(texture.shape, bool)
     known[:8] = False
-    quilt = quilted(texture, known, (90, 130))
-    assert quilt is not None and quilt.shape == (90, 130)
-    assert abs(quilt.mean() - texture.mean()) < 0.1 and quilt.std() > 0.4 * texture.std()
-    down, across = np.abs(np.diff(quilt, axis=0)).mean(), np.abs(np.diff(quilt, axis=1)).mean()
+    made = quilt(texture, known, (90, 130))
+    assert made is not None and made.shape == (90, 130)
+    assert abs(made.mean() - texture.mean()) < 0.1 and made.std() > 0.4 * texture.std()
+    down, across = np.abs(np.diff(made, axis=0)).mean(), np.abs(np.diff(made, axis=1)).mean()
     assert across > 3 * down  # strands stay upright
-    again = quilted(texture, known, (90, 130))
-    assert again is not None and (again == quilt).all()
+    again = quilt(texture, known, (90, 130))
+    assert again is not None and (again == made).all()
 
 
 def test_too_little_hair_makes_no_quilt() -> None:
     texture = np.ones((30, 30), np.float32)
     known = np.zeros((30, 30), bool)
     known[4:10, 4:10] = True
-    assert quilted(texture, known, (40, 40)) is None
-    assert quilted(texture[:6, :6], np.ones((6, 6), bool), (40, 40)) is None
+    assert quilt(texture, known, (40, 40)) is None
+    assert quilt(texture[:6, :6], np.ones((6, 6), bool), (40, 40)) is None

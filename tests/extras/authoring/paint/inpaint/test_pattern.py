@@ -26,7 +26,7 @@ def test_stripes_go_around_and_signs_do_not() -> None:
         assert (goes_around(colour, row, across, look, np.ones(len(row))) == expected).all()
 
 
-def test_rows_that_an_arm_hides_do_not_speak_against_it() -> None:
+def test_rows_hidden_by_an_arm_do_not_break_a_pattern() -> None:
     for other, expected in ((STRIPES, True), (SIGN, False)):
         colour, row, across, look = garment(other)
         shown = (row < 8) | (row > 31)
@@ -40,8 +40,8 @@ def test_a_forearm_across_the_middle_hides_some_parts() -> None:
     assert goes_around(colour, row[shown], across[shown], look[shown], np.ones(shown.sum())).all()
 
 
-def test_a_side_that_is_seen_aslant_leaves_it_to_the_other() -> None:
-    """Of somebody who has turned, the far side is a few grazing samples of one colour."""
+def test_a_side_seen_obliquely_does_not_count() -> None:
+    """On a turned person, the far side has few oblique samples of one colour."""
     colour, row, across, look = garment(STRIPES)
     far = across < -0.5 + 1 / 7
     look[far] = GREEN
@@ -49,7 +49,7 @@ def test_a_side_that_is_seen_aslant_leaves_it_to_the_other() -> None:
     assert not goes_around(colour, row, across, look, np.ones(len(row))).any()  # seen well, it has none
 
 
-def test_what_hardly_anything_is_seen_of_has_no_pattern() -> None:
+def test_rows_with_few_samples_have_no_pattern() -> None:
     colour, row, across, look = garment(STRIPES)
     assert not goes_around(colour, row, across, look, np.full(len(row), 1e-4)).any()
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.paint.picture_layers.fill import continued
-from glsplat.extras.authoring.paint.picture_layers.patches import patched, woven
-from glsplat.extras.authoring.paint.picture_layers.shadows import brightening
+from glsplat.extras.authoring.paint.picture_layers.fill import fill_hole
+from glsplat.extras.authoring.paint.picture_layers.patches import continue_cloth, fill_with_patches
+from glsplat.extras.authoring.paint.picture_layers.shadows import shadow_gain
 
 HEIGHT = 360.0
 
@@ -34,31 +34,31 @@ def arm() -> np.ndarray:
 @pytest.mark.parametrize("kind", ["stripes", "checks"])
 def test_a_pattern_goes_on_behind_an_arm(kind: str) -> None:
     true, hole = cloth(kind), arm()
-    begun = continued(np.where(hole[..., None], np.float32(0), true), ~hole, hole, HEIGHT)
-    filled = patched(begun, ~hole, hole, HEIGHT)
+    begun = fill_hole(np.where(hole[..., None], np.float32(0), true), ~hole, hole, HEIGHT)
+    filled = fill_with_patches(begun, ~hole, hole, HEIGHT)
     assert np.array_equal(filled[~hole], true[~hole])
     smooth, sewn = (np.abs(picture - true)[hole].mean() for picture in (begun, filled))
     assert sewn < 0.6 * smooth, (sewn, smooth)
     assert filled[hole].std() > 0.8 * true[hole].std()
-    assert np.array_equal(filled, patched(begun, ~hole, hole, HEIGHT))
+    assert np.array_equal(filled, fill_with_patches(begun, ~hole, hole, HEIGHT))
 
 
-def test_where_nothing_is_known_nothing_changes() -> None:
+def test_without_known_pixels_nothing_changes() -> None:
     true, hole = cloth("checks"), arm()
-    assert patched(true, np.zeros_like(hole), hole, HEIGHT) is true
-    assert patched(true, ~hole, np.zeros_like(hole), HEIGHT) is true
+    assert fill_with_patches(true, np.zeros_like(hole), hole, HEIGHT) is true
+    assert fill_with_patches(true, ~hole, np.zeros_like(hole), HEIGHT) is true
 
 
 @pytest.mark.check
-def test_only_what_the_body_has_behind_an_arm_is_carried_on() -> None:
-    """The trunk ends beside the arm's tip; a thing over it hides it as an arm does, a thin rim of nobody's does not."""
+def test_cloth_is_continued_only_where_the_body_is_behind_an_arm() -> None:
+    """The trunk ends beside the arm's tip; a thing over it occludes it as an arm does, a thin foreign rim does not."""
     true, hole = cloth("stripes"), arm()
     there = np.zeros_like(hole)
     there[:, 30:130] = True
     label = np.where(hole, 1, 0)
     label[200:230, 60:90], label[:, 128:131] = -1, -1
     spoilt = np.where((label != 0)[..., None], np.float32(0.9), true)
-    out = woven(spoilt, label == 0, there, label, 0)
+    out = continue_cloth(spoilt, label == 0, there, label, 0)
     changed = (out != spoilt).any(axis=2)
     assert changed[hole & there].all() and not changed[~there].any()
     assert changed[205:225, 65:85].all() and not changed[20:90, 128:131].any()
@@ -82,27 +82,27 @@ def shirt(shadow: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("shadow", [0.5, 0.8])
 @pytest.mark.parametrize("scale", [1, 3])
-def test_a_shadow_is_taken_out(shadow: float, scale: int) -> None:
+def test_a_shadow_is_removed(shadow: float, scale: int) -> None:
     picture, shown, arms = (np.repeat(np.repeat(part, scale, 0), scale, 1) for part in shirt(shadow))
-    times = brightening(picture, shown, arms, HEIGHT * scale)[::scale, ::scale]
+    times = shadow_gain(picture, shown, arms, HEIGHT * scale)[::scale, ::scale]
     middle = times[SHADE, 30:-30][3:-7]  # its edge comes out as soft as the cloth's pattern is fine
     assert np.abs(middle * shadow - 1).max() < 0.06
     assert (times[:80] == 1).all() and (times[HEM:] == 1).all()
     assert (times[ARM, 30:-30] == 1).all()
 
 
-def test_what_is_as_bright_as_the_rest_stays() -> None:
-    assert np.abs(brightening(*shirt(1.0), HEIGHT)[:, 20:-20] - 1).max() < 0.04
+def test_lit_cloth_is_unchanged() -> None:
+    assert np.abs(shadow_gain(*shirt(1.0), HEIGHT)[:, 20:-20] - 1).max() < 0.04
 
 
-def test_another_hue_and_what_is_far_darker_is_no_shadow() -> None:
+def test_another_hue_or_a_far_darker_colour_is_no_shadow() -> None:
     picture, shown, arms = shirt(1.0)
     for other in (BLUE, WHITE * 0.2):
         picture[SHADE] = other
-        assert np.abs(brightening(picture, shown, arms, HEIGHT)[SHADE, 30:-30][3:-3] - 1).max() < 0.05
+        assert np.abs(shadow_gain(picture, shown, arms, HEIGHT)[SHADE, 30:-30][3:-3] - 1).max() < 0.05
 
 
-def test_without_an_arm_there_is_none() -> None:
+def test_without_an_arm_there_is_no_shadow() -> None:
     picture, shown, arms = shirt(0.5)
-    assert (brightening(picture, shown | arms, np.zeros_like(arms), HEIGHT) == 1).all()
-    assert (brightening(picture, np.zeros_like(arms), arms, HEIGHT) == 1).all()  # nor where no trunk is seen
+    assert (shadow_gain(picture, shown | arms, np.zeros_like(arms), HEIGHT) == 1).all()
+    assert (shadow_gain(picture, np.zeros_like(arms), arms, HEIGHT) == 1).all()  # nor where no trunk is seen

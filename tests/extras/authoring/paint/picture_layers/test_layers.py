@@ -1,4 +1,4 @@
-"""An arm that hangs before the trunk is not printed on it, and what it hides is continued."""
+"""An arm in front of the trunk is not painted on it, and the cloth it hides is continued."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.body.segments import arm_segments, layer_of, mirror_vertices
-from glsplat.extras.authoring.paint.painter import paint
-from glsplat.extras.authoring.paint.picture_layers.fill import continued, only_in_the_middle
+from glsplat.extras.authoring.paint.painter import painter_of
+from glsplat.extras.authoring.paint.picture_layers.fill import centre_prints, fill_hole
 from glsplat.extras.authoring.paint.picture_layers.labels import NOTHING, labels_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import even_points
@@ -41,16 +41,16 @@ def crossing() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return picture, mask, truth, segment
 
 
-def test_colours_say_where_an_arm_is_that_the_fit_has_beside_it() -> None:
+def test_colours_correct_a_misplaced_arm() -> None:
     picture, mask, truth, segment = crossing()
-    nobody = np.zeros(mask.shape, bool)
-    label = labels_of(picture, mask, segment, nobody, nobody)
+    nothing = np.zeros(mask.shape, bool)
+    label = labels_of(picture, mask, segment, nothing, nothing)
     fitted = layer_of(segment) == 1
     right = (label == 1) & (truth == 1)
     assert right.sum() / ((label == 1) | (truth == 1)).sum() > 0.93
     assert (fitted & (truth == 1)).sum() / (fitted | (truth == 1)).sum() < 0.7  # the fit alone
     assert (label[~mask] == NOTHING).all()
-    assert np.array_equal(label, labels_of(picture, mask, segment, nobody, nobody))
+    assert np.array_equal(label, labels_of(picture, mask, segment, nothing, nothing))
 
 
 def test_an_arm_lies_along_its_bones_even_in_the_trunks_colour() -> None:
@@ -60,9 +60,11 @@ def test_an_arm_lies_along_its_bones_even_in_the_trunks_colour() -> None:
     picture[truth == 1] = picture[truth == 0][: (truth == 1).sum()]
     bones = np.full((2, 24, 2), np.nan)
     bones[0, :3] = (185, 80), (162, 170), (140, 260)
-    nobody = np.zeros(mask.shape, bool)
+    nothing = np.zeros(mask.shape, bool)
     far = cv2.distanceTransform((truth != 1).astype(np.uint8), cv2.DIST_L2, 3) > 12
-    spilt = [((labels_of(picture, mask, segment, nobody, nobody, told) == 1) & far).sum() for told in (None, bones)]
+    spilt = [
+        ((labels_of(picture, mask, segment, nothing, nothing, detected) == 1) & far).sum() for detected in (None, bones)
+    ]
     assert spilt[1] < 0.2 * spilt[0]
 
 
@@ -79,26 +81,26 @@ def test_a_thing_in_a_hand_is_not_the_body() -> None:
     assert (label[segment == 0] == 0).mean() > 0.8
 
 
-def test_what_an_arm_hid_is_continued_across() -> None:
+def test_cloth_hidden_by_an_arm_is_continued_across() -> None:
     rows = np.arange(200)[:, None, None]
     stripes = np.where(rows // 20 % 2, 0.6, 0.1) * np.ones((200, 120, 3))
     hole = np.zeros((200, 120), bool)
     hole[40:160, 50:70] = True
     spoilt = stripes.copy()
     spoilt[hole] = 1.0
-    filled = continued(spoilt.astype(np.float32), ~hole, hole, 200.0)
+    filled = fill_hole(spoilt.astype(np.float32), ~hole, hole, 200.0)
     assert np.array_equal(filled[~hole], spoilt[~hole].astype(np.float32))
     middle = filled[50:150:20, 55:65].mean(axis=(1, 2)), stripes[50:150:20, 55:65].mean(axis=(1, 2))
     assert np.abs(middle[0] - middle[1]).max() < 0.1
 
 
-def test_prints_are_in_the_middle_alone_and_stripes_are_not() -> None:
+def test_prints_are_found_in_the_middle_and_stripes_are_not() -> None:
     at = np.stack(np.meshgrid(np.linspace(-1.1, 1.1, 120), np.linspace(0.6, 0, 160)), axis=2)
     at[np.abs(at[..., 0]) > 1] = np.nan
     cloth = np.full((160, 120, 3), 0.3, np.float32)
     cloth[60:66] = 0.02
     cloth[80:110, 45:75] = (0.8, 0.05, 0.05)
-    found = only_in_the_middle(cloth, at, np.isfinite(at[..., 0]))
+    found = centre_prints(cloth, at, np.isfinite(at[..., 0]))
     assert found[80:110, 45:75].all()
     assert not found[:76].any() and not found[:, :40].any()
 
@@ -114,10 +116,10 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     assert (layer_of(segment)[twin] == np.array([0, 2, 1])[layer_of(segment)]).mean() > 0.99
     shot = FittedPicture(front.rgb, front.mask, front.focal, front.view, front.mesh, segment)
     points = even_points(scene.mesh, 1500)
-    plain, layered = (paint(scene.body, [each], points) for each in (front, shot))
+    plain, layered = (painter_of(scene.body, [each], points).paint(points) for each in (front, shot))
     close = layer_of(segment)[points.corners[:, 0]] == 0
     assert np.median(np.abs(plain.rgb - layered.rgb)[close]) < 0.01  # arms are away: nothing changes
-    label = shot.parts.label.copy()
+    label = shot.picture_layers.label.copy()
     pixels = front.view.pixels[scene.body.part == 3]
     left, right = np.quantile(pixels[:, 0], [0.4, 0.6]).astype(int)
     top, bottom = np.quantile(pixels[:, 1], [0.2, 0.8]).astype(int)
@@ -125,15 +127,15 @@ def test_an_arm_before_the_trunk_is_not_painted_on_it() -> None:
     rgb[top:bottom, left:right] = GREEN
     label[top:bottom, left:right] = 1
     hidden = replace(shot, rgb=rgb)
-    hidden.parts.__dict__["label"] = label
-    painted = paint(scene.body, [hidden], points).rgb
+    hidden.picture_layers.__dict__["label"] = label
+    painted = painter_of(scene.body, [hidden], points).paint(points).rgb
     greenness = (painted[:, 1] - painted[:, [0, 2]].max(axis=1))[close]
-    printed = paint(scene.body, [replace(front, rgb=rgb)], points).rgb
+    printed = painter_of(scene.body, [replace(front, rgb=rgb)], points).paint(points).rgb
     assert (printed[:, 1] - printed[:, [0, 2]].max(axis=1))[close].max() > 0.3
     assert greenness.max() < 0.1
-    assert not hidden.parts.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
+    assert not hidden.picture_layers.agreed[top:bottom, left:right].any()  # and no splat is fitted to it
 
 
 def test_another_body_keeps_one_layer() -> None:
     front = photographed("front").shots[0]
-    assert not front.layer.any() and front.parts.agreed is front.mask
+    assert not front.layer.any() and front.picture_layers.agreed is front.mask
