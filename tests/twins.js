@@ -2,7 +2,19 @@
 
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
+import { Duplex } from 'node:stream';
 import { test } from 'node:test';
+import { createInflateRaw } from 'node:zlib';
+
+try {
+  new DecompressionStream('deflate-raw');
+} catch { // Node 18, which Debian 12 has; browsers have it
+  globalThis.DecompressionStream = class {
+    constructor() {
+      Object.assign(this, Duplex.toWeb(createInflateRaw()));
+    }
+  };
+}
 
 /** The bytes of a vector's base64. */
 export const bytesOf = (text) => new Uint8Array(Buffer.from(text, 'base64'));

@@ -195,7 +195,7 @@ def test_posed_after_a_frame_that_failed() -> None:
             Arena._write = write  # type: ignore[method-assign]
         from glsplat.errors import GlsplatError
 
-        with pytest.raises(GlsplatError, match="was rendered"):
+        with pytest.raises(GlsplatError, match="not rendered yet"):
             renderer.posed()
         renderer.render(VIEWS, bent())
         again = renderer.posed()

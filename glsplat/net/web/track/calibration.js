@@ -98,7 +98,7 @@ export class Calibration {
   /** Return the arm span if the arms were stretched sideways, else null. */
   #span(eyes) {
     if (!this.#spans.length) return null;
-    const sorted = this.#spans.toSorted((a, b) => a - b);
+    const sorted = [...this.#spans].sort((a, b) => a - b);
     const widest = sorted[Math.floor(0.9 * (sorted.length - 1))];
     return within(widest / (SPAN_OF_EYES * eyes), STRETCHED) && within(widest, RANGES.span) ? widest : null;
   }
@@ -127,7 +127,7 @@ function distance(a, b) {
 }
 
 function median(values) {
-  const sorted = values.toSorted((a, b) => a - b);
+  const sorted = [...values].sort((a, b) => a - b);
   const half = sorted.length >> 1;
   return sorted.length % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
 }
