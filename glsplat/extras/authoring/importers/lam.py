@@ -195,7 +195,7 @@ def _check_offsets(offsets: NDArray[np.float32], rgb: NDArray[np.float64], verti
             f"offset.ply needs RGB in [0, 1] in f_dc, as LAM writes it, found {rgb.min():.2f} to {rgb.max():.2f}; "
             "for spherical harmonics and positions, bind the PLY to the mesh with --mesh"
         )
-    typical = float(np.median(np.linalg.norm(offsets, axis=1)))
+    typical = float(np.median(np.linalg.norm(offsets.astype(np.float64), axis=1)))
     extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if typical > 0.1 * extent:
         raise FormatError(

@@ -218,6 +218,8 @@ def test_wrong_numbers(packed, offsets):
     refused(packed(splats=offsets.take(np.arange(3))), "3 splats", "4 vertices")
     refused(packed(splats=changed(sh=offsets.sh * 2 - 1)), "RGB in [0, 1]")
     refused(packed(splats=changed(means=offsets.means + VERTICES)), "offsets from the mesh", "--mesh")
+    far = np.full_like(offsets.means, 3e19)  # its square is beyond float32
+    refused(packed(splats=changed(means=far)), "offsets from the mesh", "5.2e+19 m")
     means = offsets.means.copy()
     means[1] = np.nan
     avatar = load_lam_zip(packed(splats=changed(means=means)))
