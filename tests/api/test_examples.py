@@ -30,6 +30,7 @@ def test_the_docstring_ends_with_an_example_that_holds(
     assert result.failed == 0, "".join(said)
 
 
+@pytest.mark.extra(name="consent")  # its section on servers hands out splats by consent
 @pytest.mark.gl
 def test_the_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its blocks are one program; a line that ends in `# -> ...` says what it shows."""
