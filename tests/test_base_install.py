@@ -75,8 +75,14 @@ def test_a_server_runs_without_them() -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ("avatar photo me.jpg -o me.glb", "making avatars needs scipy: pip install 'glsplat[authoring]'"),
-        ("models list", "making avatars needs scipy: pip install 'glsplat[authoring]'"),
+        *(
+            pytest.param(
+                words,
+                "making avatars needs scipy: pip install 'glsplat[authoring]'",
+                marks=pytest.mark.extra(name="authoring"),
+            )
+            for words in ("avatar photo me.jpg -o me.glb", "models list")
+        ),
         ("study power --help", "the analysis of a study needs scipy: pip install 'glsplat[study]'"),
         pytest.param(
             "render --speech tests/extras/speech/data/balloon.wav -o {folder}/out.mp4",
@@ -116,6 +122,7 @@ for call, text in (
 """
 
 
+@pytest.mark.extra(name="authoring")
 def test_an_extra_says_what_it_needs() -> None:
     done = subprocess.run([sys.executable, "-c", HIDING + SNIPPETS], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

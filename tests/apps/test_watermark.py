@@ -48,6 +48,7 @@ def detect(*words):
     return cli.main(["watermark", "detect", *map(str, words)])
 
 
+@pytest.mark.extra(name="authoring")  # the command needs it
 def test_a_clip_leads_to_its_session(tmp_path, pictures, key, capsys):
     picture = tmp_path / "a.png"
     cv2.imwrite(str(picture), pictures[0])
