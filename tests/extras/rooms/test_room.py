@@ -336,7 +336,7 @@ QUERY = st.dictionaries(
 @given(QUERY, st.sampled_from([None, User(name="ann", rooms=("lab",), avatars=("default",))]))
 def test_whatever_is_asked_for_is_understood_or_refused(query: dict[str, str], user: User | None) -> None:
     rooms, entered = Rooms({"lab": 2}), []
-    rooms._server = SimpleNamespace(clock=lambda: 0.0, close_client=None)  # type: ignore[assignment]
+    rooms._server = SimpleNamespace(clock=lambda: 0.0, close_client=lambda *_: None)  # type: ignore[assignment]
     shown = AvatarInfo(name="default", skeleton=Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]]))
     try:
         wish = asked(user, **query)
