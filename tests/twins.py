@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from tests.in_node import write_modules
 from tests.needs import program, require
 
-__all__ = ["Twin", "check_page", "check_python", "text_of"]
+__all__ = ["Twin", "both_sides", "text_of"]
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,7 +44,21 @@ def text_of(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-def check_python(folder: Path, twins: Mapping[str, Twin], name: str) -> None:
+def both_sides(folder: Path, twins: Mapping[str, Twin]) -> tuple[Callable[[str], None], Callable[[Path], None]]:
+    """Return the two tests of a folder: Python's side name by name, and the page's side in Node."""
+
+    @pytest.mark.parametrize("name", twins)
+    def python_side(name: str) -> None:
+        _check_python(folder, twins, name)
+
+    @pytest.mark.check
+    def page_side(tmp_path: Path) -> None:
+        _check_page(folder, tmp_path)
+
+    return python_side, page_side
+
+
+def _check_python(folder: Path, twins: Mapping[str, Twin], name: str) -> None:
     """Fail unless Python gives the answers of the vectors of that name."""
     vectors = json.loads((folder / "vectors.json").read_text(encoding="utf-8"))
     assert vectors.keys() == twins.keys()
@@ -53,7 +68,7 @@ def check_python(folder: Path, twins: Mapping[str, Twin], name: str) -> None:
         _same(_plain(twins[name].answer(**case["in"])), case["out"], tolerance, f"{name} {number}")
 
 
-def check_page(folder: Path, tmp_path: Path) -> None:
+def _check_page(folder: Path, tmp_path: Path) -> None:
     """Run ``node --test`` for the page's side, and fail with what it prints unless all tests pass."""
     require("node")
     write_modules(tmp_path)

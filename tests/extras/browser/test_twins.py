@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 import glsplat
@@ -21,9 +20,8 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from tests.extras.browser.web_format.test_web import someone, with_face
 from tests.light.lit import random_light, surfaced
-from tests.twins import Twin, check_page, check_python, text_of
+from tests.twins import Twin, both_sides, text_of
 
-HERE = Path(__file__).parent
 SHA = bytes(range(32, 64))
 
 
@@ -185,12 +183,4 @@ TWINS = {
     "bodies": Twin(bodies, replies, 1e-5),
 }
 
-
-@pytest.mark.parametrize("name", TWINS)
-def test_python_gives_the_vectors(name: str) -> None:
-    check_python(HERE, TWINS, name)
-
-
-@pytest.mark.check
-def test_the_page_gives_the_vectors(tmp_path: Path) -> None:
-    check_page(HERE, tmp_path)
+test_python_gives_the_vectors, test_the_page_gives_the_vectors = both_sides(Path(__file__).parent, TWINS)

@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from glsplat.extras.openxr.cameras import matrix_of, rigid_inverse
 from glsplat.extras.openxr.placing import VIEWS, placing, standing
 from glsplat.rotations import FLIP_X
-from tests.twins import Twin, check_page, check_python
-
-HERE = Path(__file__).parent
+from tests.twins import Twin, both_sides
 
 
 def matrix(columns: list[float]) -> Any:
@@ -60,12 +57,4 @@ TWINS = {
     "stands": Twin(stands, lambda: [{"head": head} for head in heads()]),
 }
 
-
-@pytest.mark.parametrize("name", TWINS)
-def test_python_gives_the_vectors(name: str) -> None:
-    check_python(HERE, TWINS, name)
-
-
-@pytest.mark.check
-def test_the_page_gives_the_vectors(tmp_path: Path) -> None:
-    check_page(HERE, tmp_path)
+test_python_gives_the_vectors, test_the_page_gives_the_vectors = both_sides(Path(__file__).parent, TWINS)

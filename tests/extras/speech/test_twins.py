@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from glsplat.extras.speech.analysis import Analysis
 from glsplat.extras.speech.mouth import Mouth
 from tests.extras.speech.sounds import vowels
-from tests.twins import Twin, check_page, check_python, text_of
-
-HERE = Path(__file__).parent
+from tests.twins import Twin, both_sides, text_of
 
 
 def heard(rate: int, piece: int, samples: str) -> list[list[float]]:
@@ -42,12 +39,4 @@ def sounds() -> list[dict[str, Any]]:
 
 TWINS = {"heard": Twin(heard, sounds)}
 
-
-@pytest.mark.parametrize("name", TWINS)
-def test_python_gives_the_vectors(name: str) -> None:
-    check_python(HERE, TWINS, name)
-
-
-@pytest.mark.check
-def test_the_page_gives_the_vectors(tmp_path: Path) -> None:
-    check_page(HERE, tmp_path)
+test_python_gives_the_vectors, test_the_page_gives_the_vectors = both_sides(Path(__file__).parent, TWINS)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from glsplat.data import default_avatar
 from glsplat.light import Light
@@ -23,9 +22,7 @@ from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import EYES_OF_STATURE, calibrate
 from glsplat.tracking.sample import Sample
 from tests.light.lit import random_light
-from tests.twins import Twin, check_page, check_python, text_of
-
-HERE = Path(__file__).parent
+from tests.twins import Twin, both_sides, text_of
 
 
 def turned(light: dict[str, Any], matrix: list[float]) -> dict[str, Any]:
@@ -142,12 +139,4 @@ TWINS = {
     "named": Twin(named, names, 0),
 }
 
-
-@pytest.mark.parametrize("name", TWINS)
-def test_python_gives_the_vectors(name: str) -> None:
-    check_python(HERE, TWINS, name)
-
-
-@pytest.mark.check
-def test_the_page_gives_the_vectors(tmp_path: Path) -> None:
-    check_page(HERE, tmp_path)
+test_python_gives_the_vectors, test_the_page_gives_the_vectors = both_sides(Path(__file__).parent, TWINS)

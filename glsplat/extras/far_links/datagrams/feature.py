@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from glsplat.extras.far_links.datagrams.way import SecondWay
@@ -26,14 +27,14 @@ class Datagrams(Feature):
 
     def __init__(self) -> None:
         require_package("WebTransport", "aioquic", "webtransport", "leave it out")
-        from glsplat.extras.far_links.datagrams.listener import DatagramListener
-
-        self._listener_type = DatagramListener
+        import_module("glsplat.extras.far_links.datagrams.aioquic_internals")  # refuses other versions
         self.listener: DatagramListener | None = None  # until the server starts
 
     async def start(self, server: ServerView) -> None:
         """Listen. Raises GlsplatError where the port is in use."""
-        self._clock, self.listener = server.clock, self._listener_type(server.clock)
+        from glsplat.extras.far_links.datagrams.listener import DatagramListener
+
+        self._clock, self.listener = server.clock, DatagramListener(server.clock)
         await self.listener.open(server.config.access.host, server.port)
 
     async def stop(self) -> None:

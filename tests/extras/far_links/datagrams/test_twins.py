@@ -9,13 +9,9 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import pytest
-
 from glsplat.extras.far_links.datagrams.packets import HEAD, LARGEST, PICTURE, PIECE, REQUEST, Assembler, packets_of
 from tests.extras.far_links.datagrams.test_packets import lossy
-from tests.twins import Twin, check_page, check_python, text_of
-
-HERE = Path(__file__).parent
+from tests.twins import Twin, both_sides, text_of
 
 
 def pictures(datagrams: str) -> list[list[Any]]:
@@ -57,12 +53,4 @@ TWINS = {
     "request": Twin(request, lambda: [{"number": 5, "text": "ä" * 3000}, {"number": 70_000, "text": "{}"}], 0),
 }
 
-
-@pytest.mark.parametrize("name", TWINS)
-def test_python_gives_the_vectors(name: str) -> None:
-    check_python(HERE, TWINS, name)
-
-
-@pytest.mark.check
-def test_the_page_gives_the_vectors(tmp_path: Path) -> None:
-    check_page(HERE, tmp_path)
+test_python_gives_the_vectors, test_the_page_gives_the_vectors = both_sides(Path(__file__).parent, TWINS)
