@@ -8,7 +8,7 @@ from typing import Any
 from ..page import document, escaped, image_of, number_of, table_of
 from . import latency as report_latency
 
-__all__ = ["LOADED", "page", "verdict"]
+__all__ = ["page"]
 
 _DENSE = (
     "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
@@ -16,33 +16,17 @@ _DENSE = (
 )
 
 
-LOADED = (
-    "Report and bench measured the same frames at different times and differ by more than their own spread: mostly "
-    "because the machine did something else meanwhile. Compare settings with each other: they took turns."
-)
-"""What to think of a difference; the report's own numbers hold beside each other either way."""
-
-
-def verdict(row: Mapping[str, Any]) -> str:
-    """Return the text of a row of ``agreement``."""
-    apart = abs(row["report_ms"]["median"] - row["bench_ms"]["median"])
-    return (
-        f"{'agree' if row['agree'] else 'differ'} ({apart:.2f} ms apart, {row['allowed_ms']:.2f} are within the spread)"
-    )
-
-
 def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """Return the document; ``pictures`` are PNG by file name, also written beside it."""
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 6"
+    rest = f"{result['frames_of_batching']} in section 2, {result['growth']['frames']} in 5"
     width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up ({rest})"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
         f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
-        _agreement(result["agreement"]),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
     parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{escaped(fact)}</li>" for fact in facts), "</ul>"]
@@ -54,13 +38,10 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     for scene in result["scenes"]:
         parts += _scene(scene, pictures)
     parts += _batching(result["batching"], pictures)
-    parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
     parts += _latency(result["latency"])
     parts += _growth(result["growth"], pictures)
     parts += _hidden(result["hidden"], pictures)
-    rows = [[name, why] for name, why in result["not_measured"].items()]
-    parts += ["<h2>8. What this report does not measure</h2>", table_of(["what", "why"], rows)]
     return document("glsplat report", "".join(parts))
 
 
@@ -126,39 +107,6 @@ def _batching(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) 
     ]
 
 
-def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
-    rows = []
-    for row in result["left_out"]:
-        lean, full = row["lean"], row["full"]
-        rows.append(
-            [
-                row["feature"],
-                row["how"],
-                lean["ms"]["median"],
-                full["ms"]["median"],
-                row["cost"],
-                f"{lean['programs']} / {full['programs']}",
-                f"{lean['buffers']} / {full['buffers']}",
-                " ".join(stage for stage in full["passes"] if stage not in lean["passes"]) or "-",
-                _bytes(lean["bytes"], result["left_out_splats"]),
-                _bytes(full["bytes"], result["left_out_splats"]),
-                f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)"),
-            ]
-        )
-    names = ["feature", "present but unused", "without (ms)", "with (ms)", "cost", "programs", "buffers", "more passes"]
-    names += ["bytes a splat without", "with", "pictures apart"]
-    still = result["unmoved"]
-    rest = [["moved", still["moved_ms"]["median"], " ".join(still["moved_passes"])]]
-    rest.append(["unmoved", still["unmoved_ms"]["median"], " ".join(still["unmoved_passes"])])
-    return [
-        "<h2>3. What is left out</h2>",
-        image_of(pictures, "left_out.png"),
-        table_of(names, rows),
-        f"<p>Passes of a frame of {escaped(still['scene'])}:</p>",
-        table_of(["frame", "ms, median", "passes"], rest),
-    ]
-
-
 def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = []
     for case in cases:
@@ -169,7 +117,7 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
         )
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
-    return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
+    return ["<h2>3. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
 
 
 def _latency(result: Mapping[str, Any]) -> list[str]:
@@ -180,7 +128,7 @@ def _latency(result: Mapping[str, Any]) -> list[str]:
         for run in result["runs"]
     ]
     return [
-        "<h2>5. Latency</h2>",
+        "<h2>4. Latency</h2>",
         f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
         "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
         table_of(head, rows),
@@ -217,7 +165,7 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
             constant = f"{number_of(line['constant'])} {unit}"
             lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
     return [
-        "<h2>6. Growth</h2>",
+        "<h2>5. Growth</h2>",
         f"<p>{escaped(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
         "relative error through the medians; the last column says how far the worst point lies off.</p>",
         image_of(pictures, "growth.png"),
@@ -230,7 +178,7 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
 
 
 def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
-    out = ["<h2>7. Hidden splats</h2>"]
+    out = ["<h2>6. Hidden splats</h2>"]
     if not rows:
         return [*out, "<p>No scene has visibility cones.</p>"]
     table = []
@@ -255,16 +203,3 @@ def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
         table_of(heads, worst),
         *(image_of(pictures, row["plot"]) for row in rows),
     ]
-
-
-def _agreement(rows: Sequence[Mapping[str, Any]]) -> str:
-    said = [
-        f"{row['scene']} {row['report_ms']['median']:.2f} / {row['bench_ms']['median']:.2f} ms ({verdict(row)})"
-        for row in rows
-    ]
-    text = "The default by this report / by glsplat bench, in one process: " + ("; ".join(said) or "not compared")
-    return text if all(row["agree"] for row in rows) else f"{text}. {LOADED}"
-
-
-def _bytes(sizes: Mapping[str, int], splats: int) -> str:
-    return f"{(sizes['splats'] + sizes['sh'] + sizes['work']) / max(splats, 1):.0f}"

@@ -12,17 +12,17 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar, splats_of
+from glsplat.avatar import splats_of
 from glsplat.camera import Camera
 from glsplat.extras.evaluate.difference import Difference, ReferencePictures, pareto
-from glsplat.extras.evaluate.frames import WARM_UP, Bench, Series
+from glsplat.extras.evaluate.frames import WARM_UP, Series
 from glsplat.extras.evaluate.knobs import Drawn, Setting
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.net.codec.encode import encode_picture
 from glsplat.renderer import Renderer
 
-__all__ = ["Tick", "agreement", "agreement_cost", "better_than_default", "frame_cost", "measure", "measure_cost"]
+__all__ = ["Tick", "better_than_default", "frame_cost", "measure", "measure_cost"]
 
 Tick = Callable[[float], object]
 """Told how much was done, in the milliseconds that two cores of a CPU are expected to take for it."""
@@ -265,54 +265,3 @@ def _comparing(subject: Subject) -> float:
 
 def _rendered(drawn: Drawn, compared: Sequence[int]) -> int:
     return max(compared) + 1 if drawn.remembers else len(compared)
-
-
-# ------------------------------------------------------------------------------------ the same by ``glsplat bench``
-
-RENDERS = 11
-"""Pictures of one view that a frame of ``glsplat bench`` takes for a pair."""
-
-TOLERANCE = 0.1
-"""Share by which two medians may differ on a machine that does nothing else, where their own spread is smaller."""
-
-
-def agreement_cost(subjects: Sequence[Subject], frames: int) -> float:
-    """How much ``agreement`` will tell its ``tick``."""
-    return sum(_bench_cost(subject) for subject in subjects) * (WARM_UP + frames)
-
-
-def agreement(
-    context: Context, subjects: Sequence[Subject], scenes: Sequence[dict[str, Any]], frames: int, tick: Tick
-) -> list[dict[str, Any]]:
-    """One row a subject that orbits: its default among ``scenes`` (``measure``) beside what bench measures now.
-
-    They agree if their medians differ by no more than the wider of the two spreads (95th percentile less median), or a
-    tenth.
-    """
-    rows = []
-    for subject, scene in zip(subjects, scenes, strict=True):
-        size = (subject.size, subject.size)
-        bench = Bench(context, frames)
-        poses = [subject.pose(i) for i in range(WARM_UP + frames)]
-        measured = bench.setting(subject.name, subject.scene, poses, size, 2)
-        tick(_bench_cost(subject) * (WARM_UP + frames))
-        ours, theirs = scene["settings"][0]["ms"], measured["frame_ms"]
-        spread = max(ms["p95"] - ms["median"] for ms in (ours, theirs))
-        allowed = max(spread, TOLERANCE * theirs["median"])
-        rows.append(
-            {
-                "scene": subject.name,
-                "size": subject.size,
-                "report_ms": ours,
-                "bench_ms": theirs,
-                "ratio": round(ours["median"] / theirs["median"], 3),
-                "allowed_ms": round(allowed, 3),
-                "agree": abs(ours["median"] - theirs["median"]) <= allowed,
-            }
-        )
-    return rows
-
-
-def _bench_cost(subject: Subject) -> float:
-    scene = subject.scene.splats if isinstance(subject.scene, Avatar) else splats_of(subject.scene)
-    return RENDERS * frame_cost(len(scene), subject.size**2)
