@@ -8,21 +8,21 @@ import math
 import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from glsplat.avatar import Avatar, splats_of
+from glsplat.avatar import Avatar
 from glsplat.extras.evaluate.difference import require_extra
 from glsplat.extras.evaluate.frames import WARM_UP
-from glsplat.extras.evaluate.knobs import Setting, base_config, error_frames, settings_of
+from glsplat.extras.evaluate.knobs import base_config, error_frames, settings_of
 from glsplat.extras.evaluate.sections.batching import batching
-from glsplat.extras.evaluate.sections.growth import Grid, grid_of, growth, growth_cost
-from glsplat.extras.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
-from glsplat.extras.evaluate.sections.measure import frame_cost, measure, measure_cost
+from glsplat.extras.evaluate.sections.growth import grid_of, growth
+from glsplat.extras.evaluate.sections.hidden import Search, hidden, with_hidden
+from glsplat.extras.evaluate.sections.measure import measure
 from glsplat.extras.evaluate.stability.frame import frame_cases, judge
 from glsplat.extras.evaluate.stability.skin import skin_cases
 from glsplat.extras.evaluate.stability.tracking import tracking_cases
@@ -46,8 +46,6 @@ HELP = (
 EXAMPLE = "glsplat report --quick -o out/report"
 
 BATCHING_SIZES = (512, 768, 1024)
-_CASE = 60.0  # milliseconds of a stability case
-_REQUEST = 1000 / 72  # milliseconds between requests of the latency section
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     make_folder(args.output)
     context = create_context(args.device)
     try:
-        result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)
+        result = measured(context, subjects, frames, args.quick, args.device)
     finally:
         context.release()
     files = write(result, args.output)
@@ -106,27 +104,18 @@ def measured(
     subjects: list[Subject],
     frames: int,
     quick: bool,
-    sizes: tuple[int, ...] = BATCHING_SIZES,
-    grid: Grid | None = None,
-    device: str | None = None,
+    device: str | None,
 ) -> dict[str, Any]:
     """Return all sections of the report as one JSON object, without plots."""
-    base, cases, grid = base_config(context), [*frame_cases(), *skin_cases(), *tracking_cases()], grid or grid_of(quick)
+    base = base_config(context)
     settings = [settings_of(subject, base, quick, context.compute, context.vertex_storage) for subject in subjects]
     compared = [error_frames(subject, frames, quick) for subject in subjects]
     main = next((s for s in subjects if s.moving), subjects[0])
     still = replace(main, cameras=())
     fewer = max(3, frames // 4) if quick else max(3, frames // 2)
-    splats = len(splats_of(main.scene))
-    pair_cost = {side: 5.5 * frame_cost(splats, 2 * side**2) for side in sizes}
     culled, search = with_hidden(subjects), Search(frames=3, moments=1, around=3) if quick else Search(frames=frames)
-    total = _REQUEST * report_latency.frames(quick) + _CASE * len(cases) + growth_cost(grid)
-    total += hidden_cost(culled, search) + (WARM_UP + fewer) * sum(pair_cost.values())
-    total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
-    if context.software:
-        print(f"about {math.ceil(total / 60e3)} minutes on two cores that do nothing else", file=sys.stderr)
     seconds: dict[str, float] = {}
-    with Progress(total) as bar:
+    with Progress(len(subjects) + len(BATCHING_SIZES) + 4) as bar:
 
         @contextmanager
         def section(name: str, text: str = "") -> Iterator[None]:
@@ -134,24 +123,24 @@ def measured(
             start = time.perf_counter()
             yield
             seconds[name] = round(seconds.get(name, 0.0) + time.perf_counter() - start, 1)
+            bar.update()
 
         with section("stability"):
-            stability = judge(cases, context, lambda n: bar.update(_CASE * n))
+            stability = judge([*frame_cases(), *skin_cases(), *tracking_cases()], context)
         scenes = []
-        for (subject, own), when in zip(_pairs(subjects, settings), compared, strict=True):
+        for subject, own, when in zip(subjects, settings, compared, strict=True):
             with section("scenes", subject.name):
-                scenes.append(measure(context, subject, own, frames, when, tick=bar.update))
+                scenes.append(measure(context, subject, own, frames, when))
         with section("hidden splats"):
-            hidden_rows, hidden_pictures = hidden(context, culled, search, bar.update)
+            hidden_rows, hidden_pictures = hidden(context, culled, search)
         batches = []
-        for side in sizes:
+        for side in BATCHING_SIZES:
             with section("batching", f"batching {side}x{side}"):
-                both = replace(still, size=side)
-                batches.append(batching(context, both, fewer, lambda n, side=side: bar.update(pair_cost[side] * n)))  # type: ignore[misc]
+                batches.append(batching(context, replace(still, size=side), fewer))
         with section("latency"):
-            latency = report_latency.measure(quick, lambda n: bar.update(_REQUEST * n))
+            latency = report_latency.measure(quick)
         with section("growth"):
-            grown = growth(context, grid, device, bar.update)
+            grown = growth(context, grid_of(quick), device)
     facts = machine()
     facts["versions"] |= {name: version(name) for name in ("matplotlib", "flip-evaluator", "simplejpeg")}
     return {
@@ -163,7 +152,6 @@ def measured(
         "frames_of_batching": fewer,
         "warm_up": WARM_UP,
         "seconds": seconds,
-        "expected_seconds": round(total / 1e3, 1),
         "scenes": scenes,
         "batching": batches,
         "batching_scene": main.name,
@@ -173,10 +161,6 @@ def measured(
         "hidden": hidden_rows,
         "hidden_pictures": hidden_pictures,  # taken out and written as PNG
     }
-
-
-def _pairs(subjects: Sequence[Subject], settings: Sequence[list[Setting]]) -> list[tuple[Subject, list[Setting]]]:
-    return list(zip(subjects, settings, strict=True))
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:

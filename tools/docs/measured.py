@@ -118,8 +118,6 @@ def poses() -> Iterator[Table]:
     text = script("tools.net.poses", "--people", "1", "10", "--rate", "20", "72")
     note = "`python -m tools.net.poses`: everybody of a room sends and draws everybody, the embedded recording."
     yield "room", note, _markdown(text)
-    rest = "\n".join(line for line in text.splitlines() if line and not line.startswith("|"))
-    yield "work", "The same without sockets, and a thousand listeners of one speaker.", f"```\n{rest}\n```"
 
 
 def tracking() -> Iterator[Table]:
