@@ -208,36 +208,6 @@ def links() -> Iterator[Table]:
     yield "datagrams", note, "\n".join(datagrams())
 
 
-def ladder() -> Iterator[Table]:
-    """What size, quality and chroma cost in bits and in sight."""
-    files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
-    about = (
-        "The left eye of `glsplat replay` at 1024^2, the embedded people, and an avatar of 39,998\n"
-        "splats of another person (files named by GLSPLAT_MEASURED_AVATARS). JPEG as the server makes it, decoded,\n"
-        "enlarged to full size; LPIPS (AlexNet) and PSNR in the avatar's box against the uncompressed picture of full\n"
-        "size. On the front: no other setting of 4:2:0 has fewer bytes in the box and less LPIPS.\n"
-        "glsplat/net/pace/ladder.py is drawn from it."
-    )
-    yield "moments", about, _markdown(script("tools.net.ladder_table", *files))
-    note = "The same for moments of other motions, which the ladder was not drawn from."
-    yield "set-aside", note, _markdown(script("tools.net.ladder_table", "--set-aside", *files))
-
-
-def codec() -> Iterator[Table]:
-    """What video takes beside JPEG."""
-    about = (
-        "Pairs of `glsplat replay` (the embedded avatar, 2 x 1024^2, 20 a second, 2.4 s of wave-and-turn), as the\n"
-        "server codes them. Bytes without the first pair, which is a key frame. LPIPS (AlexNet) and PSNR in the box\n"
-        "of the left eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are those that a\n"
-        "thin link gets. Qualities of video (glsplat/extras/far_links/video.py) were chosen by this table."
-    )
-    equal = "Bytes as parts of those of the cropped JPEG, at its LPIPS; `-`: finer than any that was tried."
-    for name, said, options in (("developed", about, ()), ("set-aside", "The same for walk.", ("--set-aside",))):
-        settings, _, parts = script("tools.net.codec_table", *options).partition("\n\n")
-        yield name, said, _markdown(settings)
-        yield f"{name}-equal", equal, _markdown(parts)
-
-
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -253,8 +223,6 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "frame": ("A frame", frame),
     "stream": ("The stream", stream),
     "links": ("Far links", links),
-    "ladder": ("Sizes and qualities", ladder),
-    "codec": ("Video", codec),
 }
 BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
 """Pages that another script writes, of a run that takes a day."""
