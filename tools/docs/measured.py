@@ -224,8 +224,6 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "stream": ("The stream", stream),
     "links": ("Far links", links),
 }
-BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
-"""Pages that another script writes, of a run that takes a day."""
 
 
 def written(page: str) -> bytes:
