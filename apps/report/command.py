@@ -15,13 +15,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from glsplat.avatar import Avatar
+from glsplat.avatar import Avatar, splats_of
 from glsplat.extras.evaluate.difference import require_extra
 from glsplat.extras.evaluate.frames import WARM_UP
 from glsplat.extras.evaluate.knobs import base_config, error_frames, settings_of
 from glsplat.extras.evaluate.sections.batching import batching
 from glsplat.extras.evaluate.sections.growth import grid_of, growth
 from glsplat.extras.evaluate.sections.hidden import Search, hidden, with_hidden
+from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
 from glsplat.extras.evaluate.sections.measure import measure
 from glsplat.extras.evaluate.stability.frame import frame_cases, judge
 from glsplat.extras.evaluate.stability.skin import skin_cases
@@ -115,7 +116,7 @@ def measured(
     fewer = max(3, frames // 4) if quick else max(3, frames // 2)
     culled, search = with_hidden(subjects), Search(frames=3, moments=1, around=3) if quick else Search(frames=frames)
     seconds: dict[str, float] = {}
-    with Progress(len(subjects) + len(BATCHING_SIZES) + 4) as bar:
+    with Progress(len(subjects) + len(BATCHING_SIZES) + 5) as bar:
 
         @contextmanager
         def section(name: str, text: str = "") -> Iterator[None]:
@@ -133,6 +134,9 @@ def measured(
                 scenes.append(measure(context, subject, own, frames, when))
         with section("hidden splats"):
             hidden_rows, hidden_pictures = hidden(context, culled, search)
+        with section("left out"):
+            rows = left_out(context, replace(still, moving=False), features_of(main.scene, context), fewer)
+            unmoved_row = unmoved(context, still, fewer)
         batches = []
         for side in BATCHING_SIZES:
             with section("batching", f"batching {side}x{side}"):
@@ -149,12 +153,15 @@ def measured(
         "backend": context.backend,
         "quick": quick,
         "frames": frames,
-        "frames_of_batching": fewer,
+        "frames_of_the_rest": fewer,  # batching and what is left out
         "warm_up": WARM_UP,
         "seconds": seconds,
         "scenes": scenes,
         "batching": batches,
         "batching_scene": main.name,
+        "left_out": rows,
+        "left_out_splats": len(splats_of(main.scene)),
+        "unmoved": unmoved_row,
         "stability": stability,
         "latency": latency,
         "growth": grown,
@@ -165,9 +172,10 @@ def measured(
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """Write plots, report.json and report.html atomically; return their paths, the page last."""
-    from .plots import batching_plot, error_plot, growth_plot, hidden_plot, knob_plot
+    from .plots import batching_plot, error_plot, growth_plot, hidden_plot, knob_plot, left_out_plot
 
     pictures: dict[str, bytes] = {"batching.png": batching_plot(result["batching"])}
+    pictures["left_out.png"] = left_out_plot(result["left_out"])
     pictures["growth.png"] = growth_plot(result["growth"])
     for index, row in enumerate(result["hidden"]):
         row["plot"] = f"hidden-{index}.png"

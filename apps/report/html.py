@@ -20,7 +20,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """Return the document; ``pictures`` are PNG by file name, also written beside it."""
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    rest = f"{result['frames_of_batching']} in section 2, {result['growth']['frames']} in 5"
+    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 6"
     width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up ({rest})"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
@@ -38,6 +38,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     for scene in result["scenes"]:
         parts += _scene(scene, pictures)
     parts += _batching(result["batching"], pictures)
+    parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
     parts += _latency(result["latency"])
     parts += _growth(result["growth"], pictures)
@@ -107,6 +108,39 @@ def _batching(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) 
     ]
 
 
+def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
+    rows = []
+    for row in result["left_out"]:
+        lean, full = row["lean"], row["full"]
+        rows.append(
+            [
+                row["feature"],
+                row["how"],
+                lean["ms"]["median"],
+                full["ms"]["median"],
+                row["cost"],
+                f"{lean['programs']} / {full['programs']}",
+                f"{lean['buffers']} / {full['buffers']}",
+                " ".join(stage for stage in full["passes"] if stage not in lean["passes"]) or "-",
+                _bytes(lean["bytes"], result["left_out_splats"]),
+                _bytes(full["bytes"], result["left_out_splats"]),
+                f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)"),
+            ]
+        )
+    names = ["feature", "present but unused", "without (ms)", "with (ms)", "cost", "programs", "buffers", "more passes"]
+    names += ["bytes a splat without", "with", "pictures apart"]
+    still = result["unmoved"]
+    rest = [["moved", still["moved_ms"]["median"], " ".join(still["moved_passes"])]]
+    rest.append(["unmoved", still["unmoved_ms"]["median"], " ".join(still["unmoved_passes"])])
+    return [
+        "<h2>3. What is left out</h2>",
+        image_of(pictures, "left_out.png"),
+        table_of(names, rows),
+        f"<p>Passes of a frame of {escaped(still['scene'])}:</p>",
+        table_of(["frame", "ms, median", "passes"], rest),
+    ]
+
+
 def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = []
     for case in cases:
@@ -117,7 +151,7 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
         )
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
-    return ["<h2>3. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
+    return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
 
 
 def _latency(result: Mapping[str, Any]) -> list[str]:
@@ -128,7 +162,7 @@ def _latency(result: Mapping[str, Any]) -> list[str]:
         for run in result["runs"]
     ]
     return [
-        "<h2>4. Latency</h2>",
+        "<h2>5. Latency</h2>",
         f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
         "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
         table_of(head, rows),
@@ -165,7 +199,7 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
             constant = f"{number_of(line['constant'])} {unit}"
             lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
     return [
-        "<h2>5. Growth</h2>",
+        "<h2>6. Growth</h2>",
         f"<p>{escaped(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
         "relative error through the medians; the last column says how far the worst point lies off.</p>",
         image_of(pictures, "growth.png"),
@@ -178,7 +212,7 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
 
 
 def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
-    out = ["<h2>6. Hidden splats</h2>"]
+    out = ["<h2>7. Hidden splats</h2>"]
     if not rows:
         return [*out, "<p>No scene has visibility cones.</p>"]
     table = []
@@ -203,3 +237,7 @@ def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
         table_of(heads, worst),
         *(image_of(pictures, row["plot"]) for row in rows),
     ]
+
+
+def _bytes(sizes: Mapping[str, int], splats: int) -> str:
+    return f"{(sizes['splats'] + sizes['sh'] + sizes['work']) / max(splats, 1):.0f}"

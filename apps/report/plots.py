@@ -15,7 +15,7 @@ from glsplat.extras.evaluate.difference import PSNR_CAP
 
 from ..figures import png_of
 
-__all__ = ["batching_plot", "error_plot", "growth_plot", "hidden_plot", "knob_plot"]
+__all__ = ["batching_plot", "error_plot", "growth_plot", "hidden_plot", "knob_plot", "left_out_plot"]
 
 _MEASURES = (
     ("psnr", "PSNR (dB, higher is closer)", False),
@@ -143,6 +143,19 @@ def batching_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     gains.axhline(0, color="0.3", linewidth=0.8)
     gains.set(ylabel="ms saved by drawing both eyes at once", title="Where the gain lies (stages measured apart)")
     gains.legend(fontsize=8)
+    return png_of(figure)
+
+
+def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
+    """Plot the slowdown of a frame by each feature that is compiled in but unused."""
+    figure = Figure(figsize=(10, 0.45 * len(rows) + 1.6), layout="constrained")
+    axes = figure.subplots()
+    drawn = axes.barh([row["feature"] for row in rows], [row["cost"] for row in rows], color="C0")
+    axes.axvline(1, color="0.3", linewidth=0.8)
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}  # the line at 1 does not run through a number
+    axes.bar_label(drawn, fmt="%.2f x", fontsize=8, padding=4, bbox=paper)
+    axes.invert_yaxis()
+    axes.set(xlabel="frame with the feature present but unused / frame without it")
     return png_of(figure)
 
 

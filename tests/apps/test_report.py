@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import multiprocessing
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +22,12 @@ from glsplat.extras.evaluate import subjects as report_subjects
 from glsplat.extras.evaluate.knobs import settings_of
 from glsplat.extras.evaluate.sections import growth as report_growth
 from glsplat.extras.evaluate.sections.growth import Grid
+from glsplat.extras.evaluate.sections.left_out import features_of, left_out
 from glsplat.extras.evaluate.stability import frame as report_stability
 from glsplat.extras.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case
 from glsplat.extras.evaluate.stability.skin import skin_cases
 from glsplat.extras.evaluate.stability.tracking import tracking_cases
+from glsplat.extras.evaluate.subjects import Subject
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from tests.scenes import cloud, limb, one_splat
@@ -31,6 +35,15 @@ from tests.scenes import cloud, limb, one_splat
 pytest.importorskip("flip_evaluator")
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.gl
+
+
+@pytest.fixture(autouse=True)
+def frozen() -> Iterator[None]:
+    """What other tests left is not looked through each time that buffers are counted."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 # ------------------------------------------------------------------------------------------------------- stability
@@ -72,6 +85,18 @@ def test_a_case_that_does_not_behave_as_stated_fails(context: Context) -> None:
     assert rows[4]["seen"] == "RuntimeError: the driver is gone"
 
 
+# -------------------------------------------------------------------------------------------- batching and left out
+
+
+@pytest.mark.check
+def test_pictures_that_differ_are_not_called_one(context: Context) -> None:
+    subject = Subject("cloud", cloud(150), 32)
+    (feature, *_) = features_of(subject.scene, context)
+    wrong = replace(feature, full=(cloud(150, seed=1), feature.full[1]))
+    (row,) = left_out(context, subject, [wrong], 3)
+    assert not row["same_picture"] and row["apart"] > 0.1
+
+
 # ------------------------------------------------------------------------------------------------------- the files
 
 
@@ -82,6 +107,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     streamed = {"fps": 72.0, "paper": report_latency.PAPER, "runs": [{**run, "stages": {s[0]: stage for s in STAGES}}]}
     monkeypatch.setattr(report_latency, "measure", lambda *_: streamed)
     monkeypatch.setattr(report, "settings_of", lambda *given: settings_of(*given)[:4])
+    monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
     monkeypatch.setattr(report, "skin_cases", list)
     monkeypatch.setattr(report, "tracking_cases", list)
     monkeypatch.setattr(report, "BATCHING_SIZES", (32,))
@@ -125,7 +151,7 @@ def test_from_the_command_line(
     text = (out / "report.html").read_text()
     assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "bad &lt;b&gt;" in text
     assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
-    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 8
+    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 9
 
 
 @pytest.mark.check

@@ -1,0 +1,193 @@
+"""What a scene does not need is left out: what each feature would cost compiled in but unused, and what is kept."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from glsplat.avatar import Avatar, splats_of
+from glsplat.config import RenderConfig, with_fields
+from glsplat.extras.evaluate.frames import STAGES, WARM_UP, Series
+from glsplat.extras.evaluate.subjects import Subject
+from glsplat.gl.context import Context
+from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import Skin
+from glsplat.splats import Splats
+
+__all__ = ["Feature", "features_of", "left_out", "unmoved"]
+
+_STIR = 1e-9
+"""Metres a pose moves each frame so that a skin pass that changes nothing still runs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feature:
+    """One picture drawn twice: by what a scene needs, and with a feature it does not need."""
+
+    name: str
+    lean: tuple[Splats | Avatar, RenderConfig]
+    full: tuple[Splats | Avatar, RenderConfig]
+    how: str  # the feature is present but unused
+    tolerance: float = 0.01  # how far apart the pictures may be: a pixel at alpha 1/255 may go either way
+
+
+def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
+    """The comparisons that can be made without changing the picture."""
+    splats, config = splats_of(scene), RenderConfig()
+    plain = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
+    padded = replace(plain, sh=np.pad(plain.sh, ((0, 0), (0, 15), (0, 0))))
+    one = Skeleton.from_joints(("root",), [-1], np.zeros((1, 3)))
+    still = _bound(plain, one, 1)
+    out = [
+        Feature("skinning", (plain, config), (still, config), "one bone that does not turn; the skin pass runs"),
+        Feature("SH degree 3", (plain, config), (padded, config), "coefficients above degree 0 are zero"),
+        Feature("4 influences", (still, config), (_bound(plain, one, 4), config), "all weight on the first of four"),
+        Feature("8 influences", (still, config), (_bound(plain, one, 8), config), "all weight on the first of eight"),
+        Feature(
+            "nearest rotation",
+            (_bound(plain, one, 4), with_fields(config, rotation="raw")),
+            (_bound(plain, one, 4), config),
+            "polar instead of raw, on a bone that does not turn",
+        ),
+        Feature(
+            "rotation kept for SH",
+            (padded, config),
+            (_bound(padded, one, 1), config),
+            "one bone that does not turn, under SH degree 3 of zeros",
+        ),
+        Feature(
+            "antialias",
+            (plain, with_fields(config, eps2d=0.0, antialias=False)),
+            (plain, with_fields(config, eps2d=0.0, antialias=True)),
+            "without dilation the compensation is one",
+        ),
+        Feature(
+            "extent cut-off",
+            (plain, config),
+            (plain, replace(config, max_sigma=3.3299)),
+            "at 3.3299 instead of 3.33 sigma",
+            tolerance=0.02,
+        ),
+    ]
+    everywhere = np.tile(np.array([0, 0, 0, -127], np.int8), (len(plain), 1))
+    bare = replace(plain, cones=None)
+    out.append(
+        Feature(
+            "hidden splats",
+            (bare, config),
+            (replace(plain, cones=everywhere), replace(config, cull_hidden=True)),
+            "cones that hold every direction; what shines through is made up for all the same",
+            tolerance=0.15,  # of the lift at alpha 2/3 (lift.glsl)
+        )
+    )
+    if context.vertex_layers:
+        routed = with_fields(config, layers="geometry")
+        out.append(Feature("geometry shader", (plain, config), (plain, routed), "this driver does not need it"))
+    return out
+
+
+def left_out(context: Context, subject: Subject, features: Sequence[Feature], frames: int) -> list[dict[str, Any]]:
+    """One row a feature: both costs, interleaved, what was compiled, run and stored, and how equal the pictures are."""
+    return [_compare(context, subject, feature, frames) for feature in features]
+
+
+def _compare(context: Context, subject: Subject, feature: Feature, frames: int) -> dict[str, Any]:
+    sides = {"lean": feature.lean, "full": feature.full}
+    size = (subject.views(0)[0].width, subject.views(0)[0].height)
+    quick: dict[str, Renderer] = {}
+    staged: dict[str, Renderer] = {}
+    totals: dict[str, list[float]] = {side: [] for side in sides}
+    passes: dict[str, dict[str, list[float]]] = {side: {} for side in sides}
+    buffers: dict[str, int] = {}
+    try:
+        for side, (scene, config) in sides.items():
+            before = _buffers()
+            quick[side] = Renderer(scene, size=size, views=2, config=config, context=context)
+            quick[side].render(subject.views(0), _stirred(scene, 0))
+            buffers[side] = _buffers() - before
+            staged[side] = Renderer(
+                scene, size=size, views=2, config=replace(config, output="float32"), context=context, timed=True
+            )
+        apart = 0.0
+        for frame in range(WARM_UP + frames):
+            views, images = subject.views(frame), {}
+            # whoever goes first finds colder caches: take turns
+            for side in sorted(sides, reverse=bool(frame % 2)):
+                pose = _stirred(sides[side][0], frame)
+                quick[side].render(views, pose)
+                images[side] = staged[side].render(views, pose)
+                if frame >= WARM_UP:
+                    totals[side].append(quick[side].timings["total"])
+                    for stage, ms in staged[side].timings.items():
+                        passes[side].setdefault(stage, []).append(ms)
+            apart = max(apart, float(np.nan_to_num(np.abs(images["lean"] - images["full"]), nan=1e3).max()))
+        row: dict[str, Any] = {"feature": feature.name, "how": feature.how}
+        for side in sides:
+            row[side] = {
+                "ms": asdict(Series.of(totals[side])),
+                "programs": quick[side].programs_compiled,
+                "passes": [stage for stage in STAGES if stage in passes[side]],
+                "stages_ms": {s: round(float(np.median(v)), 3) for s, v in passes[side].items() if s != "total"},
+                "bytes": quick[side].nbytes(),
+                "buffers": buffers[side],
+                "variant": asdict(quick[side].variant),
+            }
+    finally:
+        for renderer in (*quick.values(), *staged.values()):
+            renderer.release()
+    row |= {
+        "cost": round(row["full"]["ms"]["median"] / row["lean"]["ms"]["median"], 3),
+        "apart": apart,
+        "same_picture": apart <= feature.tolerance,
+    }
+    return row
+
+
+def unmoved(context: Context, subject: Subject, frames: int) -> dict[str, Any]:
+    """Passes and time of a frame where everything moved and of one where nothing did."""
+    size = (subject.views(0)[0].width, subject.views(0)[0].height)
+    with Renderer(subject.scene, size=size, views=2, context=context) as renderer:
+        moved: list[float] = []
+        still: list[float] = []
+        stages: dict[str, list[str]] = {}
+        for frame in range(WARM_UP + frames):
+            for name, series in (("moved", moved), ("unmoved", still)):
+                renderer.render(subject.views(frame), subject.pose(frame))
+                stages[name] = [stage for stage in STAGES if stage in renderer.timings]
+                if frame >= WARM_UP:
+                    series.append(renderer.timings["total"])
+    return {
+        "scene": subject.name,
+        "moved_ms": asdict(Series.of(moved)),
+        "unmoved_ms": asdict(Series.of(still)),
+        "moved_passes": stages["moved"],
+        "unmoved_passes": stages["unmoved"],
+    }
+
+
+def _buffers() -> int:
+    """GL buffers that exist."""
+    gc.collect()
+    # type(), not isinstance(): others leave proxies of what is gone, which cannot be asked
+    return sum(issubclass(type(item), moderngl.Buffer) for item in gc.get_objects())
+
+
+def _bound(splats: Splats, skeleton: Skeleton, influences: int) -> Avatar:
+    """Everything rides the first joint; further slots are there and weigh nothing."""
+    joints = np.zeros((len(splats), influences), np.uint16)
+    weights = np.zeros((len(splats), influences), np.float32)
+    weights[:, 0] = 1
+    return Avatar(splats, skeleton, Skin(joints, weights))
+
+
+def _stirred(scene: Splats | Avatar, frame: int) -> Pose | None:
+    if not isinstance(scene, Avatar):
+        return None
+    return Pose(np.zeros((len(scene.skeleton), 3)), np.array([0.0, 0.0, _STIR * frame]))
