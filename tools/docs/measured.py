@@ -208,6 +208,21 @@ def links() -> Iterator[Table]:
     yield "datagrams", note, "\n".join(datagrams())
 
 
+def ladder() -> Iterator[Table]:
+    """What size, quality and chroma cost in bits and in sight."""
+    files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
+    about = (
+        "The left eye of `glsplat replay` at 1024^2, the embedded people, and an avatar of 39,998\n"
+        "splats of another person (files named by GLSPLAT_MEASURED_AVATARS). JPEG as the server makes it, decoded,\n"
+        "enlarged to full size; LPIPS (AlexNet) and PSNR in the avatar's box against the uncompressed picture of full\n"
+        "size. On the front: no other setting of 4:2:0 has fewer bytes in the box and less LPIPS.\n"
+        "glsplat/net/pace/ladder.py is drawn from it."
+    )
+    yield "moments", about, _markdown(script("tools.net.ladder_table", *files))
+    note = "The same for moments of other motions, which the ladder was not drawn from."
+    yield "set-aside", note, _markdown(script("tools.net.ladder_table", "--set-aside", *files))
+
+
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -223,6 +238,7 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "frame": ("A frame", frame),
     "stream": ("The stream", stream),
     "links": ("Far links", links),
+    "ladder": ("Sizes and qualities", ladder),
 }
 
 

@@ -1,8 +1,9 @@
 """The quality ladder: rungs of size and JPEG quality for pictures on a slow link, the best first.
 
-The steps are the Pareto front of docs/measured/ladder.md in bytes and LPIPS, over four avatars. The first rung crops
-the black around the avatar, which takes over a third of a picture's bytes. Coarser chroma is no step: 4:1:1 takes more
-bytes than 4:2:0. The table is of still pictures; for their rate see ``MAX_SMOOTH_LPIPS``.
+The steps are the Pareto front of docs/measured/ladder.md in bytes and LPIPS, over four avatars
+(``python -m tools.docs.measured ladder``). The first rung crops the black around the avatar, which takes over a third
+of a picture's bytes. Coarser chroma is no step: 4:1:1 takes more bytes than 4:2:0. The table is of still pictures; for
+their rate see ``MAX_SMOOTH_LPIPS``.
 """
 
 from __future__ import annotations

@@ -1,0 +1,202 @@
+"""Frames of the page against those of other viewers of splats in a browser: the table of docs/webgl.md. By hand.
+
+    python -m tools.peers.web_viewers FOLDER [SIDE ...]
+
+FOLDER is where npm installs the others (three, GaussianSplats3D, Spark). The embedded avatar, all 40,000 splats:
+standing for all, and walking for the page and for glsplat's own renderer, which draws, reads back and encodes as a
+server does.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+import glsplat
+from apps.webpage.command import baked
+from glsplat.extras.authoring.geometry.posed import posed_splats
+from glsplat.extras.browser.web_format.write import encode_avatar
+from glsplat.formats.motion_files import load_motion
+from glsplat.net.codec.encode import encode_picture
+from glsplat.net.pages.site import page_files
+from glsplat.views import view_of
+from tests import needs
+
+PACKAGES = (
+    "three@0.180.0",
+    "older@npm:three@0.160.0",
+    "@mkkellogg/gaussian-splats-3d@0.4.7",
+    "@sparkjsdev/spark@2.2.0",
+)
+MODULES = {
+    "older": "/npm/older/build/three.module.js",
+    "three": "/npm/three/build/three.module.js",
+    "three/addons/": "/npm/three/examples/jsm/",
+    "gs3d": "/npm/@mkkellogg/gaussian-splats-3d/build/gaussian-splats-3d.module.js",
+    "spark": "/npm/@sparkjsdev/spark/dist/spark.module.js",
+    "fflate": "/npm/fflate/esm/browser.js",
+}
+OWN = "own renderer and JPEG, walking"
+ROUNDS, FRAMES = 4, 8
+STANDING = 7  # frame of the walk in which it stands for all
+SCOPES = {"/npm/@mkkellogg/": {"three": MODULES["older"]}}
+VIEWS = {"whole": (2.7, 1.05), "near": (1.2, 1.45)}  # metres away, and up
+
+
+class _Handler(SimpleHTTPRequestHandler):
+    roots: dict[str, Path]
+    data: dict[str, bytes]
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+    def do_GET(self) -> None:
+        """Made things first, then files of one of the folders."""
+        path = self.path.partition("?")[0]
+        if path in self.data:
+            kind = {"html": "text/html", "json": "application/json", "js": "text/javascript"}
+            self.send_response(200)
+            self.send_header("Content-Type", kind.get(path.rpartition(".")[2], "application/octet-stream"))
+            self.send_header("Content-Length", str(len(self.data[path])))
+            self.end_headers()
+            self.wfile.write(self.data[path])
+            return
+        super().do_GET()
+
+    def translate_path(self, path: str) -> str:
+        """Of /vr/ and /npm/."""
+        root, _, rest = path.partition("?")[0].strip("/").partition("/")
+        return str(self.roots.get(root, Path("/nowhere")) / rest)
+
+
+def files() -> dict[str, bytes]:
+    """The page and what it shows."""
+    avatar = glsplat.default_avatar()
+    walk = load_motion("walk", avatar.skeleton)
+    with tempfile.TemporaryDirectory() as folder:
+        glsplat.save(posed_splats(avatar, walk.pose(STANDING)), Path(folder) / "avatar.ply")
+        ply = (Path(folder) / "avatar.ply").read_bytes()
+    html = f'<!doctype html><script type="importmap">{json.dumps({"imports": MODULES, "scopes": SCOPES})}</script>'
+    html += '<script type="module" src="/data/page.js"></script>'
+    page = Path(__file__).with_suffix(".js").read_bytes()
+    return {
+        "/data/index.html": html.encode(),
+        "/data/page.js": page,
+        "/data/avatar.ply": ply,
+        "/data/avatar.splats": encode_avatar(avatar),
+        "/data/walk.json": json.dumps(baked(walk)).encode(),
+        "/data/pose.json": json.dumps(baked(walk)["frames"][STANDING]).encode(),
+        **{f"/vr/{path}": body for path, body in page_files().items()},
+    }
+
+
+class Own:
+    """glsplat's own renderer: draws, reads back and encodes walking frames, as ``serve`` with ``exact``."""
+
+    def __init__(self, side: int, distance: float, height: float) -> None:
+        self._avatar = glsplat.default_avatar()
+        self._walk = load_motion("walk", self._avatar.skeleton)
+        self._renderer = glsplat.Renderer(self._avatar, size=(side, side), views=2)
+        self._side, self._distance, self._height = side, distance, height
+
+    def run(self, frames: int, first: int, of: int) -> list[float]:
+        """Milliseconds of each frame."""
+        found = []
+        for frame in range(first, first + frames):
+            angle = 2 * np.pi * frame / of
+            eye = np.array([self._distance * np.sin(angle), self._height, self._distance * np.cos(angle)])
+            target = np.array([0, self._height - 0.1, 0])
+            pair = list(view_of(eye, target, (self._side, self._side), 50.0, ipd=0.063))
+            begun = time.perf_counter()
+            for image in self._renderer.render(pair, self._walk.pose(frame % len(self._walk))):
+                encode_picture(image)
+            found.append(1e3 * (time.perf_counter() - begun))
+        return found
+
+    def close(self) -> None:
+        self._renderer.release()
+
+
+def seconds_of(root: int) -> float:
+    """CPU seconds that a process and all below it have taken: other load on the machine does not count in it."""
+    parents, used = {}, {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended
+        pid = int(stat.parent.name)
+        parents[pid], used[pid] = int(fields[1]), int(fields[11]) + int(fields[12])
+    below = {root}
+    for _ in range(8):
+        below |= {pid for pid, parent in parents.items() if parent in below}
+    return sum(used[pid] for pid in below if pid in used) / os.sysconf("SC_CLK_TCK")
+
+
+def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple[float, float]]:
+    """By name, median and CPU milliseconds a frame; all in turn, in ROUNDS rounds."""
+    distance, height = view
+    where = {"distance": distance, "height": height}
+    names = page.evaluate("(question) => prepare(question)", {"side": side, **where})
+    own = Own(side, distance, height)
+    own.run(2, 0, ROUNDS * FRAMES)
+    walls: dict[str, list[float]] = {name: [] for name in (*names, OWN)}
+    used = dict.fromkeys(walls, 0.0)
+    for turn in range(ROUNDS):
+        for name in walls:
+            question = {"name": name, "frames": FRAMES, "first": turn * FRAMES, "of": ROUNDS * FRAMES, **where}
+            before = seconds_of(os.getpid())
+            if name == OWN:
+                walls[name] += own.run(FRAMES, turn * FRAMES, ROUNDS * FRAMES)
+            else:
+                walls[name] += page.evaluate("(question) => run(question)", question)[1:]
+            used[name] += seconds_of(os.getpid()) - before
+    own.close()
+    return {name: (float(np.median(walls[name])), 1e3 * used[name] / (ROUNDS * FRAMES)) for name in walls}
+
+
+def main(folder: Path, sides: list[int]) -> None:
+    """Print a table."""
+    if not (folder / "node_modules").is_dir():
+        subprocess.run(["npm", "install", "--silent", "--prefix", str(folder), *PACKAGES], check=True)
+    _Handler.roots = {"npm": folder / "node_modules"}
+    _Handler.data = files()
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Handler))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with sync_playwright() as play:
+        flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]
+        browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=flags)
+        for side in sides:
+            for name, view in VIEWS.items():
+                page = browser.new_page()
+                page.on("pageerror", lambda error: print("page:", error, file=sys.stderr))
+                page.goto(f"http://localhost:{server.server_port}/data/index.html")
+                page.wait_for_function("window.ready", timeout=60_000)
+                found = measured(page, side, view)
+                for kind, content in page.evaluate(
+                    "(where) => pictures(where)", dict(zip(("distance", "height"), view, strict=True))
+                ).items():
+                    picture = base64.b64decode(content.partition(",")[2])
+                    (folder / f"{kind}, {side}, {name}.png").write_bytes(picture)
+                page.close()
+                for kind, (wall, cpu) in found.items():
+                    print(f"| 2 x {side}², {name} | {kind} | {wall:.0f} | {cpu:.0f} |", flush=True)
+        browser.close()
+    server.shutdown()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), [int(side) for side in sys.argv[2:]] or [512, 1024])
