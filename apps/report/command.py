@@ -8,7 +8,8 @@ import math
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -17,12 +18,12 @@ from typing import Any
 from glsplat.avatar import Avatar, splats_of
 from glsplat.extras.evaluate.difference import require_extra
 from glsplat.extras.evaluate.frames import WARM_UP
-from glsplat.extras.evaluate.knobs import Setting, base_config, error_frames, settings_of
+from glsplat.extras.evaluate.knobs import base_config, error_frames, settings_of
 from glsplat.extras.evaluate.sections.batching import batching
-from glsplat.extras.evaluate.sections.growth import Grid, grid_of, growth, growth_cost
-from glsplat.extras.evaluate.sections.hidden import Search, hidden, hidden_cost, with_hidden
+from glsplat.extras.evaluate.sections.growth import grid_of, growth
+from glsplat.extras.evaluate.sections.hidden import Search, hidden, with_hidden
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
-from glsplat.extras.evaluate.sections.measure import agreement, agreement_cost, frame_cost, measure, measure_cost
+from glsplat.extras.evaluate.sections.measure import measure
 from glsplat.extras.evaluate.stability.frame import frame_cases, judge
 from glsplat.extras.evaluate.stability.skin import skin_cases
 from glsplat.extras.evaluate.stability.tracking import tracking_cases
@@ -37,7 +38,7 @@ from ..args import whole
 from ..progress import Progress
 from ..usage import make_folder
 from . import latency as report_latency
-from .html import LOADED, page, verdict
+from .html import page
 
 HELP = (
     "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "
@@ -46,11 +47,6 @@ HELP = (
 EXAMPLE = "glsplat report --quick -o out/report"
 
 BATCHING_SIZES = (512, 768, 1024)
-NOT_MEASURED = {
-    "views = 1 with layer code": "a program for two views cannot draw one",
-}
-_CASE = 60.0  # milliseconds of a stability case
-_REQUEST = 1000 / 72  # milliseconds between requests of the latency section
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,18 +88,11 @@ def run(args: argparse.Namespace) -> int:
     make_folder(args.output)
     context = create_context(args.device)
     try:
-        result = measured(context, subjects, frames, args.quick, BATCHING_SIZES, grid_of(args.quick), args.device)
+        result = measured(context, subjects, frames, args.quick, args.device)
     finally:
         context.release()
     files = write(result, args.output)
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
-    for row in result["agreement"]:
-        print(
-            f"{row['scene']}, 2 x {row['size']}x{row['size']}: report {row['report_ms']['median']:.2f} ms, "
-            f"bench {row['bench_ms']['median']:.2f} ms: {verdict(row)}"
-        )
-    if not all(row["agree"] for row in result["agreement"]):
-        print(LOADED)
     print(f"{len(result['stability']) - len(failed)} of {len(result['stability'])} stability cases hold")
     for row in failed:
         print(f"  failed: {row['group']}, {row['case']}: {row['seen']}")
@@ -116,71 +105,46 @@ def measured(
     subjects: list[Subject],
     frames: int,
     quick: bool,
-    sizes: tuple[int, ...] = BATCHING_SIZES,
-    grid: Grid | None = None,
-    device: str | None = None,
+    device: str | None,
 ) -> dict[str, Any]:
     """Return all sections of the report as one JSON object, without plots."""
-    base, cases, grid = base_config(context), [*frame_cases(), *skin_cases(), *tracking_cases()], grid or grid_of(quick)
+    base = base_config(context)
     settings = [settings_of(subject, base, quick, context.compute, context.vertex_storage) for subject in subjects]
     compared = [error_frames(subject, frames, quick) for subject in subjects]
     main = next((s for s in subjects if s.moving), subjects[0])
     still = replace(main, cameras=())
-    orbiting = [i for i, subject in enumerate(subjects) if not subject.cameras][:2]
-    twice = [subjects[i] for i in orbiting]
-    again = min(frames, 6) if quick else frames
-    features = features_of(main.scene, context)
     fewer = max(3, frames // 4) if quick else max(3, frames // 2)
-    splats = len(splats_of(main.scene))
-    feature_cost = 4 * frame_cost(splats, 2 * main.size**2)
-    pair_cost = {side: 5.5 * frame_cost(splats, 2 * side**2) for side in sizes}
     culled, search = with_hidden(subjects), Search(frames=3, moments=1, around=3) if quick else Search(frames=frames)
-    total = _REQUEST * report_latency.frames(quick) + _CASE * len(cases) + growth_cost(grid)
-    total += agreement_cost(twice, again) + hidden_cost(culled, search)
-    total += sum(measure_cost(*one, frames, two) for one, two in zip(_pairs(subjects, settings), compared, strict=True))
-    total += (WARM_UP + fewer) * (feature_cost * (len(features) + 0.5) + sum(pair_cost.values()))
-    if context.software:
-        print(f"about {math.ceil(total / 60e3)} minutes on two cores that do nothing else", file=sys.stderr)
     seconds: dict[str, float] = {}
-    with Progress(total) as bar:
+    with Progress(len(subjects) + len(BATCHING_SIZES) + 5) as bar:
 
-        def section(name: str, text: str = "") -> None:
+        @contextmanager
+        def section(name: str, text: str = "") -> Iterator[None]:
             bar.show(bar.done, text or name)
-            seconds[name] = seconds.get(name, 0.0) - time.perf_counter()
+            start = time.perf_counter()
+            yield
+            seconds[name] = round(seconds.get(name, 0.0) + time.perf_counter() - start, 1)
+            bar.update()
 
-        def end(name: str) -> None:
-            seconds[name] = round(seconds[name] + time.perf_counter(), 1)
-
-        section("stability")
-        stability = judge(cases, context, lambda n: bar.update(_CASE * n))
-        end("stability")
+        with section("stability"):
+            stability = judge([*frame_cases(), *skin_cases(), *tracking_cases()], context)
         scenes = []
-        for (subject, own), when in zip(_pairs(subjects, settings), compared, strict=True):
-            section("scenes", subject.name)
-            scenes.append(measure(context, subject, own, frames, when, tick=bar.update))
-            end("scenes")
-        section("agreement")
-        agreed = agreement(context, twice, [scenes[i] for i in orbiting], again, bar.update)
-        end("agreement")
-        section("hidden splats")
-        hidden_rows, hidden_pictures = hidden(context, culled, search, bar.update)
-        end("hidden splats")
-        section("left out")
-        rows = left_out(context, replace(still, moving=False), features, fewer, lambda n: bar.update(feature_cost * n))
-        unmoved_row = unmoved(context, still, fewer, lambda n: bar.update(feature_cost / 2 * n))
-        end("left out")
+        for subject, own, when in zip(subjects, settings, compared, strict=True):
+            with section("scenes", subject.name):
+                scenes.append(measure(context, subject, own, frames, when))
+        with section("hidden splats"):
+            hidden_rows, hidden_pictures = hidden(context, culled, search)
+        with section("left out"):
+            rows = left_out(context, replace(still, moving=False), features_of(main.scene, context), fewer)
+            unmoved_row = unmoved(context, still, fewer)
         batches = []
-        for side in sizes:
-            section("batching", f"batching {side}x{side}")
-            both = replace(still, size=side)
-            batches.append(batching(context, both, fewer, lambda n, side=side: bar.update(pair_cost[side] * n)))  # type: ignore[misc]
-            end("batching")
-        section("latency")
-        latency = report_latency.measure(quick, lambda n: bar.update(_REQUEST * n))
-        end("latency")
-        section("growth")
-        grown = growth(context, grid, device, bar.update)
-        end("growth")
+        for side in BATCHING_SIZES:
+            with section("batching", f"batching {side}x{side}"):
+                batches.append(batching(context, replace(still, size=side), fewer))
+        with section("latency"):
+            latency = report_latency.measure(quick)
+        with section("growth"):
+            grown = growth(context, grid_of(quick), device)
     facts = machine()
     facts["versions"] |= {name: version(name) for name in ("matplotlib", "flip-evaluator", "simplejpeg")}
     return {
@@ -192,25 +156,18 @@ def measured(
         "frames_of_the_rest": fewer,  # batching and what is left out
         "warm_up": WARM_UP,
         "seconds": seconds,
-        "expected_seconds": round(total / 1e3, 1),
         "scenes": scenes,
-        "agreement": agreed,
         "batching": batches,
         "batching_scene": main.name,
         "left_out": rows,
-        "left_out_splats": splats,
+        "left_out_splats": len(splats_of(main.scene)),
         "unmoved": unmoved_row,
         "stability": stability,
         "latency": latency,
         "growth": grown,
         "hidden": hidden_rows,
         "hidden_pictures": hidden_pictures,  # taken out and written as PNG
-        "not_measured": NOT_MEASURED,
     }
-
-
-def _pairs(subjects: Sequence[Subject], settings: Sequence[list[Setting]]) -> list[tuple[Subject, list[Setting]]]:
-    return list(zip(subjects, settings, strict=True))
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:

@@ -8,27 +8,12 @@ from typing import Any
 from ..page import document, escaped, image_of, number_of, table_of
 from . import latency as report_latency
 
-__all__ = ["LOADED", "page", "verdict"]
+__all__ = ["page"]
 
 _DENSE = (
     "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
     "person's mesh have."
 )
-
-
-LOADED = (
-    "Report and bench measured the same frames at different times and differ by more than their own spread: mostly "
-    "because the machine did something else meanwhile. Compare settings with each other: they took turns."
-)
-"""What to think of a difference; the report's own numbers hold beside each other either way."""
-
-
-def verdict(row: Mapping[str, Any]) -> str:
-    """Return the text of a row of ``agreement``."""
-    apart = abs(row["report_ms"]["median"] - row["bench_ms"]["median"])
-    return (
-        f"{'agree' if row['agree'] else 'differ'} ({apart:.2f} ms apart, {row['allowed_ms']:.2f} are within the spread)"
-    )
 
 
 def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
@@ -42,7 +27,6 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
         f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
-        _agreement(result["agreement"]),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
     parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{escaped(fact)}</li>" for fact in facts), "</ul>"]
@@ -59,8 +43,6 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts += _latency(result["latency"])
     parts += _growth(result["growth"], pictures)
     parts += _hidden(result["hidden"], pictures)
-    rows = [[name, why] for name, why in result["not_measured"].items()]
-    parts += ["<h2>8. What this report does not measure</h2>", table_of(["what", "why"], rows)]
     return document("glsplat report", "".join(parts))
 
 
@@ -255,15 +237,6 @@ def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) ->
         table_of(heads, worst),
         *(image_of(pictures, row["plot"]) for row in rows),
     ]
-
-
-def _agreement(rows: Sequence[Mapping[str, Any]]) -> str:
-    said = [
-        f"{row['scene']} {row['report_ms']['median']:.2f} / {row['bench_ms']['median']:.2f} ms ({verdict(row)})"
-        for row in rows
-    ]
-    text = "The default by this report / by glsplat bench, in one process: " + ("; ".join(said) or "not compared")
-    return text if all(row["agree"] for row in rows) else f"{text}. {LOADED}"
 
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:

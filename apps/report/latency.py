@@ -1,13 +1,12 @@
 """Latency: the paper's breakdown of the streaming pipeline beside the stages of a local server and client.
 
-``measure(quick, progress)`` starts a server in its own process, streams the embedded recording of head and hands
+``measure(quick)`` starts a server in its own process, streams the embedded recording of head and hands
 through it at 72 requests a second, and returns JSON-able values; ``rows(result)`` makes the table of them.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from ..demo import running_server
 from ..replay.command import load_drive
 from ..replay.streaming import STAGES, Drive, Result, observer, stream
 
-__all__ = ["HEAD", "PAPER", "frames", "measure", "rows"]
+__all__ = ["HEAD", "PAPER", "measure", "rows"]
 
 PAPER = {
     "ik": "~1",
@@ -46,17 +45,10 @@ _SECONDS = (3.0, 8.0)  # of streaming at each size: quick, else
 _WARM = 3  # pictures before: targets of the size, caches
 
 
-def frames(quick: bool) -> int:
-    """Return the number of calls of ``progress(1)`` in a measurement."""
-    return round(_SECONDS[not quick] * _FPS) * (1 if quick else len(_SIZES))
-
-
-def measure(
-    quick: bool = False, progress: Callable[[int], None] = lambda count: None, avatar: Path | None = None
-) -> dict[str, Any]:
+def measure(quick: bool = False, avatar: Path | None = None) -> dict[str, Any]:
     """Stream the embedded recording through a server of an ``avatar`` (the default one); ``quick``: 512² only, 3 s.
 
-    ``progress(1)`` is called ``frames(quick)`` times, once a request: 1000 / 72 ms each. Returns::
+    Returns::
 
         {"driver": str, "fps": 72.0, "paper": PAPER,
          "runs": [{"size": [w, h], "seconds": s, "shown": n, "sent": n, "dropped": n, "pictures_a_second": x,
@@ -69,7 +61,7 @@ def measure(
     drive, _ = load_drive(None)
     count = round(_SECONDS[not quick] * _FPS)
     with running_server(None if avatar is None else str(avatar)) as url:
-        results = [asyncio.run(_run(url, drive, size, count, progress)) for size in _SIZES[: 1 if quick else None]]
+        results = [asyncio.run(_run(url, drive, size, count)) for size in _SIZES[: 1 if quick else None]]
     runs = [_values(result, size) for result, size in zip(results, _SIZES, strict=False)]
     return {"driver": results[0].driver, "fps": _FPS, "paper": PAPER, "runs": runs}
 
@@ -89,11 +81,11 @@ def rows(result: dict[str, Any]) -> list[list[str]]:
     return table
 
 
-async def _run(url: str, drive: Drive, size: tuple[int, int], count: int, progress: Callable[[int], None]) -> Result:
+async def _run(url: str, drive: Drive, size: tuple[int, int], count: int) -> Result:
     async with Client(url, timeout=30.0) as client:
         for _ in range(_WARM):
             await client.render(observer(0.0, np.zeros(3), size), tracking=drive.at(0.0).tracking)
-        result = await stream(client, drive, frames=count, fps=_FPS, size=size, progress=progress)
+        result = await stream(client, drive, frames=count, fps=_FPS, size=size)
     if not result.shown:
         raise GlsplatError(f"no picture came from the server{f': {result.last_error}' if result.last_error else ''}")
     return result

@@ -138,14 +138,13 @@ def test_from_the_command_line(
     main([*words, "-o", str(out)])
     said = capsys.readouterr().out.splitlines()
     assert said[-1] == str(out / "report.html")
-    assert sum("report" in line and "bench" in line and "ms" in line for line in said) == 2
     result = json.loads((out / "report.json").read_text())
     scenes = ["default avatar, static", "default avatar, its joints swaying", "a.ply"]
     assert [s["scene"] for s in result["scenes"]] == scenes and [s["views"] for s in result["scenes"]] == [2, 2, 1]
     assert [s["size"] for s in result["scenes"]] == [[32, 32]] * 3
     assert result["driver"] and result["machine"] and result["cores"] >= 1 and result["date"] >= "2026"
     assert {"glsplat", "python", "numpy", "moderngl", "matplotlib", "flip-evaluator"} <= set(result["versions"])
-    assert len(result["agreement"]) == 2 and result["latency"]["runs"]
+    assert result["latency"]["runs"]
     assert {row["splats"] for row in result["growth"]["splats"]} == {100, 400}
     (failed,) = [row for row in result["stability"] if row["verdict"] == "failed"]
     assert failed["error"] is None and result["scenes"][0]["settings"][0]["ms"]["median"] > 0
@@ -159,10 +158,8 @@ def test_from_the_command_line(
 def test_a_short_stream_is_measured_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_latency, "_SIZES", ((64, 64), (96, 96)))
     monkeypatch.setattr(report_latency, "_SECONDS", (0.5, 0.6))
-    ticks = []
-    result = report_latency.measure(quick=False, progress=ticks.append)
+    result = report_latency.measure(quick=False)
     assert json.loads(json.dumps(result)) == result and not multiprocessing.active_children()
-    assert sum(ticks) == report_latency.frames(quick=False) == 86
     assert [run["size"] for run in result["runs"]] == [[64, 64], [96, 96]] and result["driver"]
     for run in result["runs"]:
         stages = run["stages"]

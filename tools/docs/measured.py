@@ -118,8 +118,6 @@ def poses() -> Iterator[Table]:
     text = script("tools.net.poses", "--people", "1", "10", "--rate", "20", "72")
     note = "`python -m tools.net.poses`: everybody of a room sends and draws everybody, the embedded recording."
     yield "room", note, _markdown(text)
-    rest = "\n".join(line for line in text.splitlines() if line and not line.startswith("|"))
-    yield "work", "The same without sockets, and a thousand listeners of one speaker.", f"```\n{rest}\n```"
 
 
 def tracking() -> Iterator[Table]:
@@ -225,21 +223,6 @@ def ladder() -> Iterator[Table]:
     yield "set-aside", note, _markdown(script("tools.net.ladder_table", "--set-aside", *files))
 
 
-def codec() -> Iterator[Table]:
-    """What video takes beside JPEG."""
-    about = (
-        "Pairs of `glsplat replay` (the embedded avatar, 2 x 1024^2, 20 a second, 2.4 s of wave-and-turn), as the\n"
-        "server codes them. Bytes without the first pair, which is a key frame. LPIPS (AlexNet) and PSNR in the box\n"
-        "of the left eye's avatar against the uncompressed picture, every sixth pair. Cropped JPEGs are those that a\n"
-        "thin link gets. Qualities of video (glsplat/extras/far_links/video.py) were chosen by this table."
-    )
-    equal = "Bytes as parts of those of the cropped JPEG, at its LPIPS; `-`: finer than any that was tried."
-    for name, said, options in (("developed", about, ()), ("set-aside", "The same for walk.", ("--set-aside",))):
-        settings, _, parts = script("tools.net.codec_table", *options).partition("\n\n")
-        yield name, said, _markdown(settings)
-        yield f"{name}-equal", equal, _markdown(parts)
-
-
 def _markdown(text: str) -> str:
     """The table in what a command printed. ValueError: none."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -256,10 +239,7 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
     "stream": ("The stream", stream),
     "links": ("Far links", links),
     "ladder": ("Sizes and qualities", ladder),
-    "codec": ("Video", codec),
 }
-BY_OTHERS = {"evaluation": "tools.docs.evaluation_results"}
-"""Pages that another script writes, of a run that takes a day."""
 
 
 def written(page: str) -> bytes:

@@ -1,4 +1,4 @@
-"""Make avatars of participants' photographs and compare them with the participants: tables of docs/photo-results.md.
+"""Make avatars of participants' photographs and compare them with the participants: tables of docs/photo.md, "Results".
 
     python -m tools.docs.photo_results [--steps N] [p01 p02 ...]
     python -m tools.docs.photo_results --poses "A-pose" "crossed" ... p14 p15

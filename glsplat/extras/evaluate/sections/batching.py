@@ -9,7 +9,6 @@ import numpy as np
 
 from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import STAGES, WARM_UP, Binocular, Series
-from glsplat.extras.evaluate.sections.measure import Tick
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -23,7 +22,7 @@ Measured by its authors on their GPU with their avatars; its FPS column is 1000 
 """
 
 
-def batching(context: Context, subject: Subject, frames: int, tick: Tick = lambda _: None) -> dict[str, Any]:
+def batching(context: Context, subject: Subject, frames: int) -> dict[str, Any]:
     """One size: a pair in one pass; each eye in a renderer of its own, which shares nothing; one renderer, eye by eye.
 
     The last shares what does not depend on the eye (skinning), as ``glsplat bench`` measures it. Stages come from
@@ -47,7 +46,6 @@ def batching(context: Context, subject: Subject, frames: int, tick: Tick = lambd
             staged_pair.render(eyes, pose)
             for renderer, eye in zip((staged_left, staged_right), eyes, strict=True):
                 renderer.render([eye], pose)
-            tick(1)
             if frame < WARM_UP:
                 continue
             together.append(one_call)

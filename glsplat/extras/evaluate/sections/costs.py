@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import WARM_UP, Binocular, Series, triangles_of
 from glsplat.extras.evaluate.sections.batching import paper_of
-from glsplat.extras.evaluate.sections.measure import Tick
 from glsplat.extras.evaluate.subjects import orbit, pose_of_frame
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -57,8 +55,7 @@ def costs(
     figures: Mapping[str, Rigged],  # by name; of one person, so that one camera is right for all
     sizes: Sequence[int] = SIZES,
     frames: int = 30,  # measured, after a warm-up
-    config: RenderConfig | None = None,
-    tick: Tick = lambda _: None,  # told of each frame of each avatar
+    tick: Callable[[], object] = lambda: None,  # called after each frame of each avatar
 ) -> list[Cost]:
     """A row an avatar and size. All move by the same motion under the same orbiting pair, frame by frame in turn."""
     if not figures:
@@ -70,7 +67,7 @@ def costs(
         with ExitStack() as stack:
             drawn = {}
             for name, figure in figures.items():
-                make = partial(_renderer, context, figure, size, config or RenderConfig())
+                make = partial(_renderer, context, figure, size)
                 drawn[name] = Binocular(make)
                 stack.callback(drawn[name].release)
             for frame in range(WARM_UP + frames):
@@ -79,7 +76,7 @@ def costs(
                     taken = drawn[name].frame(eyes, pose_of_frame(figure.skeleton, frame))
                     if frame >= WARM_UP:
                         samples[name].append(taken)
-                    tick(1)
+                    tick()
             for name, figure in figures.items():
                 splats = isinstance(figure, Avatar)
                 count = len(figure.splats) if isinstance(figure, Avatar) else triangles_of(figure)
@@ -89,5 +86,5 @@ def costs(
     return out
 
 
-def _renderer(context: Context, figure: Rigged, size: int, config: RenderConfig, views: int) -> Renderer:
-    return Renderer(figure, size=(size, size), views=views, config=config, context=context)
+def _renderer(context: Context, figure: Rigged, size: int, views: int) -> Renderer:
+    return Renderer(figure, size=(size, size), views=views, context=context)

@@ -19,14 +19,13 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
 from glsplat.extras.evaluate.frames import FOV, STAGES, Series
-from glsplat.extras.evaluate.sections.measure import Tick, frame_cost
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from glsplat.skinning.skin import Skin
 from glsplat.views import orbited, view_of, viewing_point
 
-__all__ = ["Grid", "fitted", "grid_of", "growth", "growth_cost", "resampled"]
+__all__ = ["Grid", "fitted", "grid_of", "growth", "resampled"]
 
 WARM_UP = 2
 HEADS_APART = 10.0
@@ -59,12 +58,7 @@ def grid_of(quick: bool) -> Grid:
     return Grid(counts, (256, 512, 1024, 2048), (1, 2, 4, 8))
 
 
-def growth_cost(grid: Grid) -> float:
-    """How much ``growth`` will tell its ``tick``."""
-    return sum(_spent(point, grid, axis) for axis, points in _points(grid).items() for point in points)
-
-
-def growth(context: Context, grid: Grid, device: str | None = None, tick: Tick = lambda _: None) -> dict[str, Any]:
+def growth(context: Context, grid: Grid, device: str | None = None) -> dict[str, Any]:
     """Rows a point of each axis, and straight lines through them: ns a splat, ns a pixel, ms a view.
 
     Memory is what the renderer says it has on the GPU, and what a fresh process on ``device`` grows by while a renderer
@@ -73,7 +67,7 @@ def growth(context: Context, grid: Grid, device: str | None = None, tick: Tick =
     avatar = default_avatar()
     out: dict[str, Any] = {"size": grid.size, "frames": grid.frames, "scene": "default avatar, in motion"}
     for axis, points in _points(grid).items():
-        out[axis] = _along(context, avatar, grid, axis, points, device, tick)
+        out[axis] = _along(context, avatar, grid, axis, points, device)
     out["fits"] = _fits(out)
     return out
 
@@ -122,7 +116,6 @@ def _along(
     axis: str,
     points: Sequence[tuple[int, int, int]],
     device: str | None,
-    tick: Tick,
 ) -> list[dict[str, Any]]:
     """A row a point: renderers of all of them first, smallest first, then frames in turn, so that noise hits all."""
     rows: list[dict[str, Any]] = []
@@ -131,7 +124,6 @@ def _along(
         for splats, pixels, views in points:
             row: dict[str, Any] = {"splats": splats, "size": pixels, "views": views, "pixels": views * pixels**2}
             rows.append(row)
-            tick(_spent((splats, pixels, views), grid, axis) / 2)
             reason = _too_much(rows[:-1], splats, pixels, views, grid)
             if reason:
                 row["left_out"] = reason
@@ -147,12 +139,10 @@ def _along(
             row |= {"drawn": renderer.stats.drawn, "bytes": renderer.nbytes()}
             row["gpu_bytes"] = sum(row["bytes"].values())
             shown.append((row, renderer, show))
-        turn = sum(_spent(point, grid, axis) for point in points) / 2 / grid.frames
         times: list[list[float]] = [[] for _ in shown]
         for frame in range(WARM_UP, WARM_UP + grid.frames):
             for (_, renderer, show), series in zip(shown, times, strict=True):
                 series.append(show(renderer, frame)["total"])
-            tick(turn)
     for (row, _, _), series in zip(shown, times, strict=True):
         row["ms"] = asdict(Series.of(series))
     return rows
@@ -277,10 +267,3 @@ def _available() -> int | None:
     except OSError:
         return None
     return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable")), None)
-
-
-def _spent(point: tuple[int, int, int], grid: Grid, axis: str) -> float:
-    splats, pixels, views = point
-    frames = WARM_UP + grid.frames + (1 + grid.staged if axis == "splats" else 0) + (WARM_UP if grid.alone else 0)
-    pairs = max(1, views // 2)
-    return frames * pairs * frame_cost(splats, views // pairs * pixels**2) + (1000 if grid.alone else 0)

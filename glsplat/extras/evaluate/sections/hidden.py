@@ -19,7 +19,6 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference
 from glsplat.extras.evaluate.frames import FOV, WARM_UP, Series
-from glsplat.extras.evaluate.sections.measure import Tick, frame_cost
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.gl.context import Context
@@ -27,7 +26,7 @@ from glsplat.renderer.probe import Probe
 from glsplat.skinning.pose import Pose
 from glsplat.views import view_of, viewing_point
 
-__all__ = ["Search", "hidden", "hidden_cost", "with_hidden"]
+__all__ = ["Search", "hidden", "with_hidden"]
 
 CULLED = RenderConfig(cull_hidden=True)
 WANTED = {512: 0.75, 1024: 0.6}
@@ -51,17 +50,8 @@ def with_hidden(subjects: Sequence[Subject]) -> list[Subject]:
     return [s for s in subjects if splats_of(s.scene).cones is not None and not s.cameras]
 
 
-def hidden_cost(subjects: Sequence[Subject], search: Search) -> float:
-    """How much ``hidden`` will tell its ``tick``."""
-    return sum(
-        sum(_timed_cost(s, size, search) for size in search.sizes)
-        + 2 * frame_cost(len(splats_of(s.scene)), search.size**2) * _moments(s, search)
-        for s in subjects
-    )
-
-
 def hidden(
-    context: Context, subjects: Sequence[Subject], search: Search, tick: Tick = lambda _: None
+    context: Context, subjects: Sequence[Subject], search: Search
 ) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.float32]]]:
     """A row a subject, and by its name the worst picture: left out, and complete, side by side [H, 2 W, 4]."""
     rows, pictures = [], {}
@@ -69,8 +59,7 @@ def hidden(
         price = []
         for size in search.sizes:
             price.append(_price(context, subject, size, search.frames))
-            tick(_timed_cost(subject, size, search))
-        worst, picture = _worst(context, subject, search, tick)
+        worst, picture = _worst(context, subject, search)
         rows.append({"scene": subject.name, "splats": len(splats_of(subject.scene)), "price": price, **worst})
         pictures[subject.name] = picture
     return rows, pictures
@@ -116,9 +105,7 @@ def _price(context: Context, subject: Subject, size: int, frames: int) -> dict[s
     }
 
 
-def _worst(
-    context: Context, subject: Subject, search: Search, tick: Tick
-) -> tuple[dict[str, Any], NDArray[np.float32]]:
+def _worst(context: Context, subject: Subject, search: Search) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """PSNR of every picture looked at, and where the smallest was."""
     size, where = (search.size, search.size), ""
     found: list[float] = []
@@ -134,7 +121,6 @@ def _worst(
                 if not found or psnr < min(found):
                     where, picture = f"{name}, {text}", np.concatenate([left[0], complete[0]], axis=1)
                 found.append(psnr)
-                tick(2 * frame_cost(len(splats_of(subject.scene)), search.size**2))
     low, middle = (round(float(v), 2) for v in np.percentile(found, (5, 50)))
     row = {"size": search.size, "pictures": len(found), "psnr": min(found), "psnr_p5": low, "psnr_median": middle}
     return {"worst": {**row, "where": where}}, picture
@@ -165,14 +151,6 @@ def _directions(subject: Subject, search: Search) -> Iterator[tuple[str, list[Ca
             way = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
             views = view_of(target + distance * way, target, (search.size, search.size), FOV)
             yield f"seen from {azimuth:.0f} degrees to its left, {elevation:.0f} above", views
-
-
-def _moments(subject: Subject, search: Search) -> int:
-    return sum(1 for _ in _poses(subject, search)) * search.around * len(search.elevations)
-
-
-def _timed_cost(subject: Subject, size: int, search: Search) -> float:
-    return 2.5 * frame_cost(len(splats_of(subject.scene)), 2 * size**2) * (WARM_UP + search.frames)
 
 
 def _float(config: RenderConfig) -> RenderConfig:

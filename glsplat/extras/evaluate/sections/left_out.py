@@ -13,7 +13,6 @@ import numpy as np
 from glsplat.avatar import Avatar, splats_of
 from glsplat.config import RenderConfig, with_fields
 from glsplat.extras.evaluate.frames import STAGES, WARM_UP, Series
-from glsplat.extras.evaluate.sections.measure import Tick
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -94,14 +93,12 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
     return out
 
 
-def left_out(
-    context: Context, subject: Subject, features: Sequence[Feature], frames: int, tick: Tick = lambda _: None
-) -> list[dict[str, Any]]:
+def left_out(context: Context, subject: Subject, features: Sequence[Feature], frames: int) -> list[dict[str, Any]]:
     """One row a feature: both costs, interleaved, what was compiled, run and stored, and how equal the pictures are."""
-    return [_compare(context, subject, feature, frames, tick) for feature in features]
+    return [_compare(context, subject, feature, frames) for feature in features]
 
 
-def _compare(context: Context, subject: Subject, feature: Feature, frames: int, tick: Tick) -> dict[str, Any]:
+def _compare(context: Context, subject: Subject, feature: Feature, frames: int) -> dict[str, Any]:
     sides = {"lean": feature.lean, "full": feature.full}
     size = (subject.views(0)[0].width, subject.views(0)[0].height)
     quick: dict[str, Renderer] = {}
@@ -131,7 +128,6 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int, 
                     for stage, ms in staged[side].timings.items():
                         passes[side].setdefault(stage, []).append(ms)
             apart = max(apart, float(np.nan_to_num(np.abs(images["lean"] - images["full"]), nan=1e3).max()))
-            tick(1)
         row: dict[str, Any] = {"feature": feature.name, "how": feature.how}
         for side in sides:
             row[side] = {
@@ -154,7 +150,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int, 
     return row
 
 
-def unmoved(context: Context, subject: Subject, frames: int, tick: Tick = lambda _: None) -> dict[str, Any]:
+def unmoved(context: Context, subject: Subject, frames: int) -> dict[str, Any]:
     """Passes and time of a frame where everything moved and of one where nothing did."""
     size = (subject.views(0)[0].width, subject.views(0)[0].height)
     with Renderer(subject.scene, size=size, views=2, context=context) as renderer:
@@ -167,7 +163,6 @@ def unmoved(context: Context, subject: Subject, frames: int, tick: Tick = lambda
                 stages[name] = [stage for stage in STAGES if stage in renderer.timings]
                 if frame >= WARM_UP:
                     series.append(renderer.timings["total"])
-            tick(1)
     return {
         "scene": subject.name,
         "moved_ms": asdict(Series.of(moved)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -12,37 +12,17 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar, splats_of
+from glsplat.avatar import splats_of
 from glsplat.camera import Camera
 from glsplat.extras.evaluate.difference import Difference, ReferencePictures, pareto
-from glsplat.extras.evaluate.frames import WARM_UP, Bench, Series
+from glsplat.extras.evaluate.frames import WARM_UP, Series
 from glsplat.extras.evaluate.knobs import Drawn, Setting
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.net.codec.encode import encode_picture
 from glsplat.renderer import Renderer
 
-__all__ = ["Tick", "agreement", "agreement_cost", "better_than_default", "frame_cost", "measure", "measure_cost"]
-
-Tick = Callable[[float], object]
-"""Told how much was done, in the milliseconds that two cores of a CPU are expected to take for it."""
-
-PER_SPLAT, PER_PIXEL, PER_TRUTH = 1.2e-3, 2e-5, 0.03
-"""Those milliseconds, a splat and a pixel of a frame, and a splat of a float64 picture (docs/performance.md)."""
-
-
-def frame_cost(splats: int, pixels: int) -> float:
-    """Expected milliseconds of a frame."""
-    return 3 + PER_SPLAT * splats + PER_PIXEL * pixels
-
-
-def measure_cost(subject: Subject, settings: Sequence[Setting], frames: int, compared: Sequence[int]) -> float:
-    """How much ``measure`` will tell its ``tick``."""
-    drawn = {s.drawn for s in settings}
-    timed = sum(_cost(subject, d) for d in drawn) * (WARM_UP + frames)
-    again = sum(_cost(subject, d) * _rendered(d, compared) for d in drawn if not d.copy)
-    errors = len({(s.drawn, _order(s)) for s in settings if not s.drawn.copy})
-    return timed + again + errors * len(compared) * _comparing(subject) + _truths(settings, compared) * _truth(subject)
+__all__ = ["better_than_default", "measure"]
 
 
 def measure(
@@ -52,7 +32,6 @@ def measure(
     frames: int,
     compared: Sequence[int] = (WARM_UP,),  # frames whose pictures are held against float64
     truth: ReferencePictures | None = None,  # what is right; default: the subject's own in float64
-    tick: Tick = lambda _: None,
 ) -> dict[str, Any]:
     """One row a setting: ms a frame (8-bit output, read back; JPEG: encoded too) and the error of the float picture.
 
@@ -61,20 +40,17 @@ def measure(
     """
     truth = truth or ReferencePictures(subject.right or subject.scene)
     drawn = list({s.drawn: None for s in settings})
-    times, encodes, seen = _timed(context, subject, settings, drawn, frames, compared[0], tick)
+    times, encodes, seen = _timed(context, subject, settings, drawn, frames, compared[0])
     for order in sorted({_order(s) for s in settings}):
         for frame in compared:
             truth.of(subject.views(frame), subject.pose(frame), order)
-            tick(_truth(subject))
     errors: dict[tuple[Drawn, str], Difference] = {}
     for one in drawn:
         if one.copy:
             continue
         pictures = _exact(context, subject, one, compared)
-        tick(_cost(subject, one) * _rendered(one, compared))
         for order in sorted({_order(s) for s in settings if s.drawn == one}):
             errors[one, order] = _error(subject, truth, pictures, compared, order)
-            tick(_comparing(subject) * len(compared))
     rows = []
     for s in settings:
         series = times[s.drawn]
@@ -149,7 +125,6 @@ def _timed(
     drawn: Sequence[Drawn],
     frames: int,
     kept: int,  # the frame whose pictures are kept
-    tick: Tick,
 ) -> tuple[dict[Drawn, list[float]], dict[tuple[int, str], tuple[list[float], list[int]]], dict[Drawn, NDArray[Any]]]:
     """Whole frames of every setting, one frame of each after the other, in another order each time."""
     shuffle = np.random.default_rng(0)  # whoever follows an expensive setting finds colder caches
@@ -171,7 +146,6 @@ def _timed(
                     seen[one] = picture
                 if frame >= WARM_UP:
                     times[one].append(renderers[one].timings["total"])
-                tick(_cost(subject, one))
             for jpeg, one in jpegs.items():
                 ms, size = _encode(latest[one], *jpeg)
                 if frame >= WARM_UP:
@@ -239,80 +213,3 @@ def _scaled(views: list[Camera], scale: float) -> list[Camera]:
     if scale == 1.0:
         return views
     return [v.resized(max(1, round(v.width * scale)), max(1, round(v.height * scale))) for v in views]
-
-
-# ------------------------------------------------------------------------------------------------ expected times
-
-
-def _cost(subject: Subject, drawn: Drawn) -> float:
-    width, height = _size(subject, drawn.scale)
-    count = drawn.level * len(splats_of(subject.scene))
-    return frame_cost(round(count), len(subject.views(0)) * width * height)
-
-
-def _truth(subject: Subject) -> float:
-    return 20 + PER_TRUTH * len(splats_of(subject.scene)) * len(subject.views(0))
-
-
-def _truths(settings: Sequence[Setting], compared: Sequence[int]) -> int:
-    return len({_order(s) for s in settings}) * len(compared)
-
-
-def _comparing(subject: Subject) -> float:
-    width, height = _size(subject, 1.0)
-    return 5 + 5e-4 * width * height  # most of it FLIP
-
-
-def _rendered(drawn: Drawn, compared: Sequence[int]) -> int:
-    return max(compared) + 1 if drawn.remembers else len(compared)
-
-
-# ------------------------------------------------------------------------------------ the same by ``glsplat bench``
-
-RENDERS = 11
-"""Pictures of one view that a frame of ``glsplat bench`` takes for a pair."""
-
-TOLERANCE = 0.1
-"""Share by which two medians may differ on a machine that does nothing else, where their own spread is smaller."""
-
-
-def agreement_cost(subjects: Sequence[Subject], frames: int) -> float:
-    """How much ``agreement`` will tell its ``tick``."""
-    return sum(_bench_cost(subject) for subject in subjects) * (WARM_UP + frames)
-
-
-def agreement(
-    context: Context, subjects: Sequence[Subject], scenes: Sequence[dict[str, Any]], frames: int, tick: Tick
-) -> list[dict[str, Any]]:
-    """One row a subject that orbits: its default among ``scenes`` (``measure``) beside what bench measures now.
-
-    They agree if their medians differ by no more than the wider of the two spreads (95th percentile less median), or a
-    tenth.
-    """
-    rows = []
-    for subject, scene in zip(subjects, scenes, strict=True):
-        size = (subject.size, subject.size)
-        bench = Bench(context, frames)
-        poses = [subject.pose(i) for i in range(WARM_UP + frames)]
-        measured = bench.setting(subject.name, subject.scene, poses, size, 2)
-        tick(_bench_cost(subject) * (WARM_UP + frames))
-        ours, theirs = scene["settings"][0]["ms"], measured["frame_ms"]
-        spread = max(ms["p95"] - ms["median"] for ms in (ours, theirs))
-        allowed = max(spread, TOLERANCE * theirs["median"])
-        rows.append(
-            {
-                "scene": subject.name,
-                "size": subject.size,
-                "report_ms": ours,
-                "bench_ms": theirs,
-                "ratio": round(ours["median"] / theirs["median"], 3),
-                "allowed_ms": round(allowed, 3),
-                "agree": abs(ours["median"] - theirs["median"]) <= allowed,
-            }
-        )
-    return rows
-
-
-def _bench_cost(subject: Subject) -> float:
-    scene = subject.scene.splats if isinstance(subject.scene, Avatar) else splats_of(subject.scene)
-    return RENDERS * frame_cost(len(scene), subject.size**2)

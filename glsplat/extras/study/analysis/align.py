@@ -48,7 +48,7 @@ def spread_ranks(table: Table, effect: Effect, step: float, values: F64 | None =
 
     On a coarse scale the alignment parts ties along the estimated effect itself, and ranks blow that up: ART finds
     effects that are not there (Luepsen 2017, "The aligned rank transform and discrete variables: a warning"). Spread
-    answers have no ties that could be parted. This is no part of ARTool; tools/study/type_one.py measures both.
+    answers have no ties that could be parted. This is no part of ARTool.
     """
     y = table.values if values is None else values
     rng = np.random.default_rng(seed)

@@ -25,7 +25,6 @@ def test_power_is_theorys() -> None:
     assert theory - 0.06 < row.power < theory + 0.02 and row.low < row.power < row.high
 
 
-# by python -m tools.study.type_one; these are some of its lines, on other draws
 @pytest.mark.check
 @pytest.mark.parametrize(
     ("plan", "step"),
