@@ -36,8 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the parts; after each write the files, so that they are there if the machine hangs in the next."""
+    if args.device is not None:
+        create_context(args.device).release()  # one line for a device that is not there
     make_folder(args.output)
-    create_context(args.device).release()  # one line for a device that is not there
     result: dict[str, Any] = {"quick": args.quick, "parts": {}}
     names = [name for name in PARTS if name in (args.parts or PARTS)]
     _write(result, args.output)

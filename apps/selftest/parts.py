@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from glsplat.data import default_avatar
+from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.sections.batching import PAPER, batching
 from glsplat.extras.evaluate.selftest.driver import context_cases, facts
 from glsplat.extras.evaluate.selftest.paths import contract_cases
@@ -30,13 +31,14 @@ from ..report import latency
 __all__ = ["PARTS", "run_part"]
 
 _SILENCE_S = 400.0  # without a word from a part before it is ended
+_END_S = 10.0  # for a part to end after its last step
 _RESTARTS = 3  # of a part that ends before its last step
 _SECONDS_A_SIZE = {False: 30.0, True: 8.0}  # of the speed part; quick
 _TOO_SLOW_MS = 3000.0  # a frame; above it nothing is measured
 _RUNS_A_FRAME = 8  # renders that a frame of ``batching`` takes, in frames of a pair
 GOLDENS = ("tests/golden/test_goldens.py::test_golden", "tests/golden/test_contract.py::test_contract")
 
-Tell = Callable[[str], object]
+Tell = Callable[[str], None]
 
 
 class Step(NamedTuple):
@@ -127,23 +129,20 @@ PARTS: dict[str, Callable[[bool, Tell], Iterator[Step]]] = {
 """Name -> steps, in the order in which they run; without steps a part is not possible here."""
 
 
-def run_part(name: str, quick: bool, device: str | None, show: Tell = str) -> dict[str, Any]:
+def run_part(name: str, quick: bool, device: str | None, show: Tell = lambda text: None) -> dict[str, Any]:
     """Return {"seconds", "rows"} of a part. A step that ends the process is a failed row, and the next step follows."""
     rows: list[dict[str, Any]] = []
-    start, restarts = time.perf_counter(), 0
-    while True:
-        label = _from(name, quick, device, rows, show)
-        if label is None:
+    start = time.perf_counter()
+    for _ in range(1 + _RESTARTS):
+        if _ends_well(name, quick, device, rows, show):
             break
-        restarts += 1
-        if restarts > _RESTARTS:
-            rows.append(_failed(name, "the rest", f"left out after {_RESTARTS} restarts"))
-            break
+    else:
+        rows.append(_failed(name, "the rest", f"left out after {_RESTARTS} restarts"))
     return {"seconds": round(time.perf_counter() - start, 1), "rows": rows}
 
 
-def _from(name: str, quick: bool, device: str | None, rows: list[dict[str, Any]], show: Tell) -> str | None:
-    """Run a part from step ``len(rows)`` on and append its rows; return the step that ended the process, if one did."""
+def _ends_well(name: str, quick: bool, device: str | None, rows: list[dict[str, Any]], show: Tell) -> bool:
+    """Run a part from step ``len(rows)`` on and append its rows; return False if a step ended it, which failed."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe(duplex=False)
     # no daemon, which could not start the server of the stream
@@ -155,24 +154,25 @@ def _from(name: str, quick: bool, device: str | None, rows: list[dict[str, Any]]
         while ours.poll(_SILENCE_S):
             kind, value = ours.recv()
             if kind == "done":
-                return None
+                process.join(_END_S)
+                return True
             if kind == "row":
                 rows.append(value)
-            else:
-                label = value if kind == "step" else label
-                show(f"{label} {value}" if kind == "tell" else label)
+            elif kind == "step":
+                label = value
+            show(f"{label} {value}" if kind == "tell" else label)
         reason = f"no word for {_SILENCE_S:g} s"
     except EOFError:
-        process.join()
-        reason = _ending(process.exitcode)
+        process.join(_END_S)
+        code = process.exitcode or 0
+        reason = f"ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
     finally:
         if process.is_alive():
-            process.terminate()
-            process.join(5)
             process.kill()
         process.join()
+        ours.close()
     rows.append(_failed(name, label, reason))
-    return label
+    return False
 
 
 def _child(connection: Connection, name: str, quick: bool, device: str | None, first: int) -> None:
@@ -180,14 +180,20 @@ def _child(connection: Connection, name: str, quick: bool, device: str | None, f
     faulthandler.enable()
     if device is not None:
         os.environ["GLSPLAT_DEVICE"] = device  # also of the processes that a step starts
-    for step in list(PARTS[name](quick, lambda text: connection.send(("tell", text))))[first:]:
-        connection.send(("step", step.label))
-        try:
-            row = step.run()
-        except Exception as error:  # the report has to say so and go on
-            row = _failed(name, step.label, f"{type(error).__name__}: {error}")
-        connection.send(("row", row))
+    try:
+        for step in list(PARTS[name](quick, lambda text: connection.send(("tell", text))))[first:]:
+            connection.send(("step", step.label))
+            connection.send(("row", _row(name, step)))
+    except GlsplatError as error:  # no context, say
+        connection.send(("row", _failed(name, "start", str(error))))
     connection.send(("done", None))
+
+
+def _row(name: str, step: Step) -> dict[str, Any]:
+    try:
+        return step.run()
+    except Exception as error:  # the report has to say so and go on
+        return _failed(name, step.label, f"{type(error).__name__}: {error}")
 
 
 def _failed(name: str, label: str, reason: str) -> dict[str, Any]:
@@ -195,9 +201,3 @@ def _failed(name: str, label: str, reason: str) -> dict[str, Any]:
     return asdict(Outcome(False, None, seen=reason)) | {
         "group": name, "case": case, "input": given, "behaviour": "ends well", "verdict": "failed"
     }  # fmt: skip
-
-
-def _ending(code: int | None) -> str:
-    if code is not None and code < 0:
-        return f"ended by {signal.Signals(-code).name}"
-    return f"ended with exit code {code}"

@@ -110,21 +110,21 @@ def _gate(path: RenderPath, scene: ContractScene) -> str:
 
 def _check(scene: ContractScene, path: RenderPath) -> Callable[[Context], Outcome]:
     def check(context: Context) -> Outcome:
-        outcome = _drawn(context, scene, path, scene.splats)
+        outcome = _tried(context, scene, path, scene.splats)
         if outcome.held:
             return outcome
         counts = [2**k for k in range(scene.splats.bit_length()) if 2**k < scene.splats]
-        fewest = next((n for n in counts if not _holds(context, scene, path, n)), scene.splats)
-        return replace(outcome, splats=fewest, seen=f"{outcome.seen}; fails from {fewest} splats on")
+        fewest = next((n for n in counts if not _tried(context, scene, path, n).held), scene.splats)
+        return replace(outcome, splats=fewest, seen=f"{outcome.seen}; fails with {fewest} splats")
 
     return check
 
 
-def _holds(context: Context, scene: ContractScene, path: RenderPath, count: int) -> bool:
+def _tried(context: Context, scene: ContractScene, path: RenderPath, count: int) -> Outcome:
     try:
-        return _drawn(context, scene, path, count).held
-    except Exception:  # fails as well, whatever the driver raised
-        return False
+        return _drawn(context, scene, path, count)
+    except Exception as error:  # whatever the driver raises
+        return Outcome(False, None, seen=f"{type(error).__name__}: {error}")
 
 
 def _drawn(context: Context, scene: ContractScene, path: RenderPath, count: int) -> Outcome:

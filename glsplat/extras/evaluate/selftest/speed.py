@@ -31,7 +31,7 @@ def frame_ms(context: Context, subject: Subject, frames: int) -> float:
 
 
 def largest_scene(
-    context: Context, size: int = 1024, hertz: float = 72.0, frames: int = 9, tick: Callable[[str], object] = str
+    context: Context, size: int = 1024, hertz: float = 72.0, frames: int = 9, tick: Callable[[str], object] = len
 ) -> dict[str, Any]:
     """Return the most splats whose pair of ``size``² keeps ``hertz``: {"splats" (0: none), "size", "hertz", "tried"}.
 
