@@ -37,7 +37,8 @@ MAX_MEAN_DEPTH_ERROR_M = {"32f": 1e-4, "16f": 1e-2}  # at 3 m; the sum is divide
 _SIZE = (96, 64)
 _WALL_EDGE_X = 0.137  # metres; no pixel centre of the views is within 0.1 pixels of it
 _WALL_COLOUR = (200, 60, 20)
-_DISTANCE = 3.0  # metres from the eyes to the plane z = 0
+_DISTANCE = 3.0  # metres from the left eye to the plane z = 0
+_NEARER_M = 0.05  # of the right eye
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,10 @@ def _drawn(context: Context, scene: ContractScene, path: RenderPath, count: int)
 def _views(distance: float) -> list[Camera]:
     head = np.eye(4)
     head[2, 3] = distance
-    return list(stereo_cameras(head, 0.2, size=_SIZE, background=(0.1, 0.3, 0.2)))
+    left, right = stereo_cameras(head, 0.2, size=_SIZE, background=(0.1, 0.3, 0.2))
+    nearer = right.viewmat.copy()
+    nearer[2, 3] -= _NEARER_M  # so that the eyes differ in depth, too
+    return [left, replace(right, viewmat=nearer)]
 
 
 @lru_cache(maxsize=4)
@@ -167,10 +171,11 @@ def _expected(scene: ContractScene, count: int, views: int) -> tuple[F64, F64]:
 
 def _wall_seen(camera: Camera) -> reference.MeshLayer:
     """Return the wall at z = 0 left of ``_WALL_EDGE_X``, as seen by a camera that looks along -z."""
-    x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * _DISTANCE + camera.position[0]
+    z = camera.position[2]
+    x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0] * z + camera.position[0]
     hit = np.broadcast_to(x < _WALL_EDGE_X, (camera.height, camera.width))
     colours = np.broadcast_to(np.array(_WALL_COLOUR) / 255, (*hit.shape, 3))
-    return reference.MeshLayer(colours, np.where(hit, _DISTANCE, np.inf))
+    return reference.MeshLayer(colours, np.where(hit, z, np.inf))
 
 
 def _wall() -> RiggedMesh:
