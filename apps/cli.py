@@ -51,6 +51,7 @@ COMMANDS = {
     "tracking": Command("Build on it", "solve a full-body pose from head and hands: derive, solve, score, show"),
     "evaluate": Command("Measured", "compare methods of making avatars over participants: the tables of the paper"),
     "watermark": Command("Show it", "find the invisible watermark of a session in a clip"),
+    "selftest": Command("Measured", "hold this driver against every promise; files to attach to a report of a bug"),
     "report": Command("Measured", "report error against run time, batching, culling, stability: HTML, plots, JSON"),
     "inspect": Command("Make an avatar", "describe a scene or avatar file"),
     "convert": Command("Make an avatar", "convert splats and avatars between formats"),
@@ -66,8 +67,8 @@ All commands: glsplat --help. Details of one: glsplat COMMAND --help.
 """
 """Printed by ``glsplat`` without a command."""
 
-_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "serve", "study", "tracking", "users", "watermark")
-MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "webpage.command"}
+_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "selftest", "serve", "study", "tracking", "users")
+MODULES = {name: f"{name}.command" for name in (*_FOLDERS, "watermark")} | {"page": "webpage.command"}
 """Modules of commands that are folders, or have another name than the command."""
 
 

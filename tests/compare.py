@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+AS_ON_A_GPU = bool(os.environ.get("GLSPLAT_TESTS_AS_ON_A_GPU"))
+"""The renderers of fixtures choose as on a GPU: 16F targets, instanced quads, the GPU sorter (test_drivers.py)."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,9 @@ class Difference:
 
 
 def assert_contract(image: NDArray[np.floating], expected: NDArray[np.floating]) -> None:
-    """The gate of a 32F target against the float64 contract."""
+    """The gate of a 32F target against the float64 contract; as on a GPU that of 16F, its default."""
     d = Difference.of(image, expected)
+    if AS_ON_A_GPU:
+        assert d.psnr >= 50, d
+        return
     assert d.psnr >= 65 and d.mean <= 1e-4 and d.beyond <= 0.003 and d.maximum <= 0.06, d

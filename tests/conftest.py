@@ -7,6 +7,7 @@ import inspect
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,9 +112,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def context() -> Iterator[Context]:
     """One context for all GL tests of the session: making one costs more than most tests."""
     from glsplat.gl.context import create_context
+    from tests.compare import AS_ON_A_GPU
 
     context = create_context()
-    yield context
+    yield replace(context, software=context.software and not AS_ON_A_GPU)
     context.release()
 
 
@@ -129,12 +131,13 @@ def renderer_of(context: Context) -> Iterator[Callable[..., Probe]]:
     """Makes renderers on the shared context and releases them after the test."""
     from glsplat.config import RenderConfig, with_fields
     from glsplat.renderer.probe import Probe
+    from tests.compare import AS_ON_A_GPU
 
     made: list[Probe] = []
 
     def make(scene: Splats | Avatar, size: tuple[int, int] = (64, 64), views: int = 1, **config: Any) -> Probe:
         config.setdefault("output", "float32")
-        config.setdefault("target", "32f")
+        config.setdefault("target", "auto" if AS_ON_A_GPU else "32f")
         renderer = Probe(scene, size=size, views=views, config=with_fields(RenderConfig(), **config), context=context)
         made.append(renderer)
         return renderer

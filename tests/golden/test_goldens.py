@@ -1,7 +1,8 @@
 """The project's own golden images: small scenes made in code, a PNG and a sidecar that says what rendered it.
 
-Same driver string: within 1/255. Another driver: at most 0.1 % of the pixels beyond 5/255. A missing or an unused
-golden fails. ``make goldens`` writes them anew; refused in CI, and only for pictures somebody has looked at.
+Same driver string: within 1/255. Another driver: at most 0.1 % of the pixels beyond 5/255. Another target: 50 dB.
+A missing or an unused golden fails. ``make goldens`` writes them anew; refused in CI, and only for pictures somebody
+has looked at.
 
 Each says how splats are drawn, so that it is the same on every driver: as triangles that pull their records, which
 software rasterizers take unasked (test_paths.py), or ("quads_...") as instanced quads, both eyes in one draw into two
@@ -28,6 +29,7 @@ from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+from tests.compare import Difference
 from tests.scenes import camera, cloud, eyes, limb, one_splat
 
 pytestmark = pytest.mark.gl
@@ -152,7 +154,10 @@ def test_golden(
     assert variant_on(context, facts["variant"]) == asdict(renderer.variant), "the golden was made by another variant"
     assert image.shape == expected.shape
     error = np.abs(image.astype(int) - expected).max(axis=-1)
-    passed = error.max() <= 1 if facts["driver"] == renderer.driver else (error > 5).mean() <= 0.001
+    if facts["target"] != renderer.target_dtype:  # as on a GPU; llvmpipe cuts off where GPUs round
+        passed = Difference.of(image / 255, expected / 255).psnr >= 50
+    else:
+        passed = error.max() <= 1 if facts["driver"] == renderer.driver else (error > 5).mean() <= 0.001
     if not passed:
         FAILED.mkdir(exist_ok=True)
         difference = np.repeat(np.clip((error / 255) ** 0.25 * 255, 0, 255).astype(np.uint8)[..., None], 3, axis=-1)

@@ -179,7 +179,7 @@ def test_backgrounds(renderer_of: Make) -> None:
     scene = cloud(50)
     image = renderer_of(scene, views=2).render(views)
     assert_contract(image, reference.render(scene, views))
-    assert np.allclose(image[1, 0, 0], (0.9, 0.5, 0.0, 0.0))
+    assert np.allclose(image[1, 0, 0], (0.9, 0.5, 0.0, 0.0), atol=3e-4)  # 16F has steps of 5e-4 there
 
 
 def test_eight_bit_output_is_the_rounded_float(renderer_of: Make) -> None:

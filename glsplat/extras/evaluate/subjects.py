@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,6 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.authoring.finish.level_merge import merged
-from glsplat.extras.authoring.geometry.nearest import nearest_weights
-from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 from glsplat.extras.evaluate.frames import FOV
 from glsplat.extras.formats.person import read_person
 from glsplat.formats import load_splats
@@ -30,6 +28,9 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from glsplat.views import orbited, view_of, viewing_point
+
+if TYPE_CHECKING:
+    from glsplat.extras.authoring.sample.surface import SamplerConfig
 
 __all__ = [
     "PERSON_SPLATS",
@@ -148,6 +149,10 @@ def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None
 
     The dense weights are those of the nearest surface point: of the corners of its triangle, which have four each.
     """
+    # only here, so that ``glsplat selftest`` needs no SciPy
+    from glsplat.extras.authoring.geometry.nearest import nearest_weights
+    from glsplat.extras.authoring.sample.surface import make_avatar
+
     mesh = read_person(path)
     avatar = make_avatar(mesh, count, config=config)
     joints, weights, _ = nearest_weights(mesh, avatar.splats.means.astype(np.float64))
@@ -174,6 +179,8 @@ def _viewing_point(scene: Content) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 @lru_cache(maxsize=4)
 def _level(subject: Subject, share: float) -> Splats | Avatar:
+    from glsplat.extras.authoring.finish.level_merge import merged
+
     return merged(subject.scene, max(1, round(share * len(splats_of(subject.scene)))))
 
 

@@ -25,7 +25,7 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.skin import Skin
 from glsplat.views import orbited, view_of, viewing_point
 
-__all__ = ["Grid", "fitted", "grid_of", "growth", "resampled"]
+__all__ = ["Grid", "fitted", "grid_of", "growth", "resampled", "resident"]
 
 WARM_UP = 2
 HEADS_APART = 10.0
@@ -184,11 +184,11 @@ def _grown(splats: int, pixels: int, views: int, device: str | None) -> int | No
     try:
         show = _show(scene, pixels, views)
         gc.collect()
-        before = _resident()
+        before = resident()
         with Renderer(scene, size=(pixels, pixels), views=views, context=context) as renderer:
             for frame in range(WARM_UP):
                 show(renderer, frame)
-            after = _resident()
+            after = resident()
     finally:
         context.release()
     return None if before is None or after is None else after - before
@@ -253,7 +253,7 @@ def _too_much(rows: Sequence[dict[str, Any]], splats: int, pixels: int, views: i
     return ""
 
 
-def _resident() -> int | None:
+def resident() -> int | None:
     """Bytes of memory this process has; None where the system does not tell (only Linux does)."""
     try:
         return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")

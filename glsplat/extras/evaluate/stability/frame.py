@@ -31,6 +31,7 @@ class Outcome:
     error: float | None  # the largest, in ``unit``; None where nothing is compared
     unit: str = ""
     seen: str = ""
+    splats: int | None = None  # fewest of a failure that was reduced
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def judge(cases: Sequence[Case], context: Context) -> list[dict[str, Any]]:
                 "seen": outcome.seen,
                 "error": outcome.error,
                 "unit": outcome.unit,
+                "splats": outcome.splats,
                 "verdict": "holds" if outcome.held else "failed",
             }
         )

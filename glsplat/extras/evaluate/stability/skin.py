@@ -21,7 +21,7 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["chain", "skin_cases"]
+__all__ = ["chain", "expressive", "skin_cases"]
 
 POSITION, COVARIANCE = 1e-5, 1e-4  # gates of docs/skinning.md: metres, relative
 SWEEP = 0.5  # degrees a step
@@ -137,14 +137,21 @@ def _turned(joints: int, joint: int, axis: ArrayLike, degrees: float) -> Pose:
     return Pose(rotations, np.zeros(3))
 
 
-def _expression_cases() -> list[Row]:
-    limb = chain(300, 12)
-    rng = np.random.default_rng(8)
-    splats, targets = np.nonzero(rng.random((300, 6)) < 0.5)
+def expressive(limb: Avatar) -> Avatar:
+    """Return the avatar with six shapes, each of which moves and bends a random half of its splats."""
+    rng, count = np.random.default_rng(8), len(limb.splats)
+    splats, targets = np.nonzero(rng.random((count, 6)) < 0.5)
     moves, bends = rng.normal(0, 0.02, (len(splats), 3)), rng.normal(0, 0.4, (len(splats), 2, 3))
     names = [f"shape {k}" for k in range(6)]
-    shapes = Shapes.create(names, 300, splats=splats, targets=targets, moves=moves, bends=bends)
-    face = replace(limb, shapes=shapes)
+    return replace(limb, shapes=Shapes.create(names, count, splats=splats, targets=targets, moves=moves, bends=bends))
+
+
+def _expression_cases() -> list[Row]:
+    limb = chain(300, 12)
+    face = expressive(limb)
+    shapes = face.shapes
+    assert shapes is not None
+    names = shapes.names
 
     def at(weight: float) -> Pose:
         return Pose(np.full((12, 3), 0.1), expression=dict.fromkeys(names, weight))

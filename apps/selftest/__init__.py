@@ -1,0 +1,1 @@
+"""``glsplat selftest``: prove this driver, and measure it."""

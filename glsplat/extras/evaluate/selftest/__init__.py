@@ -1,0 +1,1 @@
+"""The parts of ``glsplat selftest``: every path against float64, contexts, memory, speed."""

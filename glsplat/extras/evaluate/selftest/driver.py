@@ -1,0 +1,133 @@
+"""What the driver is and chooses, what memory it uses, and whether its contexts can be made and lost."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import subprocess
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glsplat.camera import Camera, stereo_cameras
+from glsplat.errors import ContextError
+from glsplat.extras.evaluate.sections.growth import resident
+from glsplat.extras.evaluate.stability.frame import Case, Outcome, cloud
+from glsplat.gl.context import Context, create_context, egl_devices
+from glsplat.gl.functions import gl_functions
+from glsplat.io.provenance import machine
+from glsplat.renderer import Renderer
+
+__all__ = ["context_cases", "facts", "memory"]
+
+_ROUNDS = 50
+_SETTLED = 20  # rounds after which a driver's caches are filled
+_MAX_GROWTH = 1.1  # of the process from then on; one lost scene a round would be 1.5 and more
+_SPLATS = 20_000
+_SIZE = (64, 64)
+_LIMITS = (
+    "GL_MAX_TEXTURE_SIZE", "GL_MAX_ARRAY_TEXTURE_LAYERS", "GL_MAX_SHADER_STORAGE_BLOCK_SIZE",
+    "GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS", "GL_MAX_COMPUTE_WORK_GROUP_INVOCATIONS", "GL_SUBPIXEL_BITS",
+)  # fmt: skip
+_VARIABLES = ("GALLIUM", "LIBGL", "MESA", "GLSPLAT", "__GL", "__EGL", "CUDA_VISIBLE", "DISPLAY", "WAYLAND")
+# GL_NVX_gpu_memory_info: available; GL_ATI_meminfo: free for textures. KiB
+_FREE_MEMORY = {"GL_NVX_gpu_memory_info": 0x9049, "GL_ATI_meminfo": 0x87FC}
+
+
+def facts(context: Context) -> dict[str, Any]:
+    """Return machine, driver, probed abilities, limits, and what a renderer of a pair chooses by default."""
+    info, views = context.ctx.info, _pair()
+    with Renderer(cloud(), size=_SIZE, views=2, context=context) as renderer:
+        renderer.render(views)
+        chosen = {**asdict(renderer.variant), "float_target": renderer.target_dtype}
+    return {
+        **machine(),
+        "vendor": info["GL_VENDOR"],
+        "driver": context.driver,
+        "backend": context.backend,
+        "devices": egl_devices(),
+        "abilities": {k: getattr(context, k) for k in ("software", "vertex_layers", "vertex_ids", "compute")}
+        | {"vertex_storage": context.vertex_storage},
+        "limits": {name: info[name] for name in _LIMITS if name in info},
+        "chosen": chosen,
+        "memory": memory(context),
+        "environment": {k: v for k, v in sorted(os.environ.items()) if k.startswith(_VARIABLES)},
+    }
+
+
+def memory(context: Context) -> dict[str, Any]:
+    """Return bytes of the process, free by the driver's extension, and used by ``nvidia-smi``, where known."""
+    found: dict[str, Any] = {"process": resident()}
+    with context:
+        get = gl_functions(context.ctx)("GetIntegerv", None, ctypes.c_uint, ctypes.POINTER(ctypes.c_int))
+        for name, query in _FREE_MEMORY.items():
+            if name in context.ctx.extensions:
+                values = (ctypes.c_int * 4)()
+                get(query, values)
+                found[name] = values[0] * 1024
+    command = ["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+        found["nvidia-smi"] = [int(line) * 2**20 for line in done.stdout.split()]
+    except (OSError, ValueError, subprocess.TimeoutExpired):
+        pass  # no NVIDIA driver
+    return found
+
+
+def context_cases(tick: Callable[[float], object]) -> list[Case]:
+    """Return the cases of contexts: lost while in use; made 50 times, and what is left of them.
+
+    Run them while no other context is alive: with one, Mesa's zink (22.3.6) keeps 4 MB of every renderer.
+    """
+
+    def refused(_: Context) -> Outcome:
+        context = create_context()
+        renderer = Renderer(cloud(), size=_SIZE, views=2, context=context)
+        renderer.render(_pair())
+        context.release()
+        try:
+            renderer.render(_pair())
+        except ContextError as error:
+            renderer.release()
+            return Outcome("released" in str(error), None, seen=str(error))
+        return Outcome(False, None, seen="drawn")
+
+    def made(_: Context) -> Outcome:
+        expected, *_rest = _one_life(lost=False)
+        used, different = [], 0
+        for index in range(_ROUNDS):
+            image, held = _one_life(lost=index % 2 == 1)
+            different += not np.array_equal(image, expected)
+            used.append(held)
+            tick((index + 1) / _ROUNDS)
+        before, after = used[_SETTLED], used[-1]
+        share = after["process"] / before["process"] if before["process"] else 1.0
+        words = [f"{different} pictures differ", *(f"{name} {before[name]} to {after[name]} bytes" for name in before)]
+        return Outcome(different == 0 and share <= _MAX_GROWTH, share, "times the memory", "; ".join(words))
+
+    return [
+        Case("contexts", "a lost context", "released under its renderer", "ContextError", refused),
+        Case("contexts", f"{_ROUNDS} contexts", f"{_SPLATS} splats each, every second one lost under its renderer",
+             f"the same bytes; at most {_MAX_GROWTH:g} times the memory after the first {_SETTLED}", made),
+    ]  # fmt: skip
+
+
+def _one_life(lost: bool) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Return a picture and the memory of a new context; ``lost``: it is released before its renderer."""
+    context = create_context()
+    renderer = Renderer(cloud(_SPLATS), size=_SIZE, views=2, context=context)
+    image, used = renderer.render(_pair()), memory(context)
+    for released in (context, renderer) if lost else (renderer, context):
+        released.release()
+    gc.collect()
+    return image, used
+
+
+def _pair() -> list[Camera]:
+    head = np.eye(4)
+    head[2, 3] = 3.0
+    return list(stereo_cameras(head, 0.2, size=_SIZE))

@@ -1,0 +1,54 @@
+"""The largest static scene that keeps a display's rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from glsplat.avatar import Avatar
+from glsplat.data import default_avatar
+from glsplat.extras.evaluate.sections.growth import resampled
+from glsplat.extras.evaluate.subjects import Subject
+from glsplat.gl.context import Context
+from glsplat.renderer import Renderer
+
+__all__ = ["frame_ms", "largest_scene"]
+
+_FEWEST, _MOST = 1_000, 8_192_000  # splats
+_HALVINGS = 3  # of the interval between the last that keeps the rate and the first that does not
+
+
+def frame_ms(context: Context, subject: Subject, frames: int) -> float:
+    """Return the median milliseconds of ``frames`` frames of a moving pair, 8 bit and read back, after one more."""
+    with Renderer(subject.scene, size=(subject.size, subject.size), views=2, context=context) as renderer:
+        times = []
+        for frame in range(frames + 1):
+            renderer.render(subject.views(frame), subject.pose(frame))
+            times.append(renderer.timings["total"])
+    return float(np.median(times[1:]))
+
+
+def largest_scene(
+    context: Context, size: int = 1024, hertz: float = 72.0, frames: int = 9, tick: Callable[[str], object] = len
+) -> dict[str, Any]:
+    """Return the most splats whose pair of ``size``² keeps ``hertz``: {"splats" (0: none), "size", "hertz", "tried"}.
+
+    The splats are those of the default avatar at rest, made more or fewer with the same area in all.
+    """
+    avatar, tried = default_avatar(), {}
+
+    def keeps(count: int) -> bool:
+        tick(f"{count:,} splats")
+        scene: Avatar = resampled(avatar, count)
+        tried[count] = round(frame_ms(context, Subject("", scene.splats, size), frames), 3)
+        return tried[count] <= 1000 / hertz
+
+    low, high = 0, _FEWEST
+    while high <= _MOST and keeps(high):
+        low, high = high, 2 * high
+    for _ in range(_HALVINGS if 0 < low < _MOST else 0):
+        middle = (low + high) // 2
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    return {"splats": low, "size": size, "hertz": hertz, "tried": [[n, tried[n]] for n in sorted(tried)]}
