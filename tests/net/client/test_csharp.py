@@ -7,7 +7,7 @@ import base64
 import json
 import subprocess
 from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,14 @@ from aiohttp import web
 
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
+from glsplat.extras.openxr.placing import ViewName, placing
 from glsplat.extras.operations.certificate import kept_certificate
 from glsplat.net import ServerConfig
 from glsplat.net.client import Client
 from glsplat.net.client.connection import ClientConnection
 from glsplat.net.client.request import encoder, request_message
 from glsplat.net.guard.access import Access
+from glsplat.net.messages import Decoder, Request
 from glsplat.net.reply import pack_reply
 from glsplat.net.served_scene import gl_server
 from glsplat.tracking.recording import embedded_recording
@@ -101,6 +103,7 @@ async def streaming(
     finally:
         if process.returncode is None:
             process.kill()
+            await process.wait()
 
 
 def uncounted(message: dict[str, Any]) -> dict[str, Any]:
@@ -174,6 +177,23 @@ async def test_token_certificate_and_refusals(runner: Path, serve: Serve, tmp_pa
             assert "(400): " in (reason := (await ask({"state": "Waiting"}))["reason"]) and "default" in reason
 
 
+Handle = Callable[[web.Request], Coroutine[Any, Any, web.StreamResponse]]
+
+
+@asynccontextmanager
+async def scripted(handle: Handle) -> AsyncIterator[str]:
+    """Run a server of a test's own; yield its address."""
+    app = web.Application()
+    app.router.add_get("/ws", handle)
+    served = web.AppRunner(app, shutdown_timeout=1)
+    await served.setup()
+    await web.TCPSite(served, "127.0.0.1", 0).start()
+    try:
+        yield f"ws://127.0.0.1:{served.addresses[0][1]}"
+    finally:
+        await served.cleanup()
+
+
 async def test_a_broken_connection_comes_back_as_the_same_person(runner: Path) -> None:
     """A server that is full at first, then drops a connection within a picture, and answers the next one."""
     queries: list[dict[str, str]] = []
@@ -199,20 +219,85 @@ async def test_a_broken_connection_comes_back_as_the_same_person(runner: Path) -
             await socket.send_bytes(picture)
         return socket
 
-    app = web.Application()
-    app.router.add_get("/ws", handle)
-    served = web.AppRunner(app, shutdown_timeout=1)
-    await served.setup()
-    await web.TCPSite(served, "127.0.0.1", 0).start()
     person = {"room": "lab", "name": "Jürgen B."}
-    try:
-        async with streaming(runner, f"ws://127.0.0.1:{served.addresses[0][1]}", dict(person)) as ask:
-            waiting = await ask({"state": "Waiting"})
-            assert waiting["reason"] == "the server refuses (503): the server is full; trying again"
-            assert (await ask({"size": [8, 8]}))["id"] == 1
-            assert (await ask({"size": [9, 9], "lost": True}))["reason"].startswith("no connection (")
-            assert (await ask({"size": [8, 8]}))["id"] == 1
-    finally:
-        await served.cleanup()
+    async with scripted(handle) as url, streaming(runner, url, dict(person)) as ask:
+        waiting = await ask({"state": "Waiting"})
+        assert waiting["reason"] == "the server refuses (503): the server is full; trying again"
+        assert (await ask({"size": [8, 8]}))["id"] == 1
+        assert (await ask({"size": [9, 9], "lost": True}))["reason"].startswith("no connection (")
+        assert (await ask({"size": [8, 8]}))["id"] == 1
     assert queries == [person, person, person | {"resume": "again"}]
     assert [(one["frame_id"], one["ack"]) for one in requests] == [(1, 0), (2, 1), (1, 0)]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole package with stubs of Unity's types; without XR Hands it compiles, too."""
+    sources = [*sorted(PACKAGE.rglob("*.cs")), HERE / "UnityStubs.cs", HERE / "Scene.cs"]
+    folder = tmp_path_factory.mktemp("scene")
+    compiled(folder, "without", *sources)
+    return compiled(folder, "scene", *sources, defines="GLSPLAT_HANDS")
+
+
+@pytest.mark.parametrize("view", ["Mirror", "Facing", "Own", "Room", "Desktop"])
+async def test_a_scene_requests_and_shows_pictures_where_their_eyes_saw_them(
+    scene: Path, tmp_path: Path, view: str
+) -> None:
+    """Unity's axes are left-handed: a picture's corner lies where the server's camera projects to that pixel."""
+    sent: list[dict[str, Any]] = []
+    count = 1 if view == "Desktop" else 2
+    crops = [[16, 0, 32, 48], [0, 16, 64, 32]][:count]
+    jpegs, alphas = ([b"\xff\xd8" + name + bytes([eye]) for eye in range(count)] for name in (b"colour", b"alpha"))
+
+    async def handle(request: web.Request) -> web.StreamResponse:
+        socket = web.WebSocketResponse(compress=False)
+        await socket.prepare(request)
+        async for message in socket:
+            asked = json.loads(message.data)
+            if "frame_id" not in asked:
+                continue
+            sent.append(asked)
+            info = {"size": [64, 64], "crop": crops, "times": {"total": 5}}
+            with suppress(ConnectionError):  # it has seen enough
+                await socket.send_bytes(pack_reply(asked["frame_id"], range(count), jpegs, info, alphas))
+        return socket
+
+    async with scripted(handle) as url:
+        command = ["mono", str(scene), url, view, str(tmp_path)]
+        done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=HANG)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    shown = [jpegs[0], alphas[0], jpegs[-1], alphas[-1]]
+    assert [base64.b64decode(one) for one in found["pictures"]] == shown and found["opaque"] == 0
+    assert "fps, " in found["label"] and "(5 at the server)" in found["label"]
+    hidden = sent[0].pop("hide", None)
+    request = Decoder().decode(json.dumps(sent[0]))  # as the server does; a mirrored camera reflects
+    assert isinstance(request, Request) and len(request.cameras) == count
+    place = np.eye(4)
+    if view == "Desktop":
+        assert "tracking" not in sent[0]
+    else:
+        tracking = sent[0]["tracking"]
+        head = head_matrix(tracking["head"][:3], tracking["head"][3:])
+        name: ViewName = {"Facing": "facing", "Own": "own"}.get(view, "mirror")
+        place = placing(name, head).shown
+        assert sent[0].get("mirror", False) == (name == "mirror") and hidden == (["head"] if name == "own" else None)
+        assert len(tracking["right_joints"]) == 75 and tracking["left_curl"] == 0.625 and "right_grip" not in tracking
+        np.testing.assert_allclose(tracking["leftEye"], (0, 0, -1), atol=1e-5)
+        if view == "Room":  # over the origin, looking along +z
+            assert np.abs(head[[0, 2], 3]).max() < 1e-5 and abs(head[0, 2]) < 1e-5 and head[2, 2] < -0.9
+        else:  # the poses of Scene.cs
+            np.testing.assert_allclose(tracking["head"], (0.2, 1.6, -0.1, -0.1, -0.5, 0, 0.860233), atol=1e-5)
+            np.testing.assert_allclose(tracking["left_grip"], (-0.3, 1, -0.4, 0, 0, 0, 1), atol=1e-5)
+            np.testing.assert_allclose(tracking["right"], (0.01, 1, -0.5, 0, 0, 0, 1), atol=1e-5)
+            np.testing.assert_allclose(tracking["right_joints"][3:6], (0.03, 1, -0.5), atol=1e-5)  # without the palm
+    for eye, camera in enumerate(request.cameras):
+        x, y, width, height = crops[eye]
+        pixels = [(x + i % 2 * width, y + (1 - i // 2) * height) for i in range(4)]  # from the lower left, row by row
+        points = np.array(found["corners"][4 * eye : 4 * eye + 4]) * (1, 1, -1)
+        own = (points - place[:3, 3]) @ place[:3, :3]  # the shown space to the user's
+        seen = own @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        np.testing.assert_allclose(seen[:, 2], seen[0, 2], atol=1e-4)  # a plane across the eye's axis
+        assert seen[0, 2] >= 0.3
+        projected = seen @ camera.K.T
+        np.testing.assert_allclose(projected[:, :2] / projected[:, 2:], pixels, atol=0.02)

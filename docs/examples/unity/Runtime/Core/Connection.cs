@@ -24,6 +24,7 @@ namespace GlSplat {
         public event Action<ServerError> Complained; // raised on a thread of the connection
 
         readonly ServerAddress _address;
+        readonly Action<Reply> _prepare;
         readonly Session _session;
         readonly Stopwatch _clock = Stopwatch.StartNew();
         readonly CancellationTokenSource _stop = new CancellationTokenSource();
@@ -33,8 +34,11 @@ namespace GlSplat {
         bool _sending;
         double _sentAt;
 
-        public Connection(ServerAddress address, bool reportArrivals = true) {
+        /// <param name="reportArrivals">Let the server fit pictures to the link (docs/protocol.md, section 5.1).</param>
+        /// <param name="prepare">Called with each reply on the receiving thread, before it can be taken.</param>
+        public Connection(ServerAddress address, bool reportArrivals = true, Action<Reply> prepare = null) {
             _address = address;
+            _prepare = prepare;
             _session = new Session(reportArrivals);
             Become(LinkState.Connecting, "");
             Task.Run(Run);
@@ -121,22 +125,22 @@ namespace GlSplat {
                 length = 0;
                 try {
                     if (part.MessageType == WebSocketMessageType.Binary) Arrived(data);
-                    else lock (_lock) Complain(_session.Refused(Encoding.UTF8.GetString(data)));
+                    else lock (_lock) Complained?.Invoke(_session.Refused(Encoding.UTF8.GetString(data)));
                 } catch (FormatException error) {
-                    Complain(new ServerError { Code = "bad_reply", Message = error.Message });
+                    Complained?.Invoke(new ServerError { Code = "bad_reply", Message = error.Message });
                 }
             }
         }
 
-        void Complain(ServerError error) { Complained?.Invoke(error); }
-
         void Arrived(byte[] data) {
+            Reply reply;
             lock (_lock) {
-                string acknowledgement;
-                var reply = _session.Arrived(data, Now, out acknowledgement);
+                reply = _session.Arrived(data, Now, out var acknowledgement);
                 if (acknowledgement != null && !_sending) Begin(acknowledgement); // else the next request acknowledges
-                if (reply != null) _ready = reply; // one that was not taken is not missed
             }
+            if (reply == null) return;
+            _prepare?.Invoke(reply);
+            _ready = reply; // the one before is not missed
         }
 
         /// <summary>Send a message, one at a time.</summary>

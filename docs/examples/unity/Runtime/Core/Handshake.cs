@@ -90,8 +90,7 @@ namespace GlSplat {
             string head = "";
             for (var one = new byte[1]; !head.EndsWith("\r\n\r\n") && head.Length < MaxHead; head += (char)one[0])
                 if (await stream.ReadAsync(one, 0, 1) == 0) throw new IOException("closed at once: does it want wss://?");
-            int status;
-            if (!head.StartsWith("HTTP/1.1 ") || !int.TryParse(head.Substring(9, 3), out status))
+            if (!head.StartsWith("HTTP/1.1 ") || !int.TryParse(head.Substring(9, 3), out int status))
                 throw new IOException("what listens there does not speak HTTP");
             if (status == 101) return;
             var words = new byte[Math.Min(Header(head, "Content-Length"), MaxWords)];
@@ -103,8 +102,7 @@ namespace GlSplat {
         /// <summary>Return a header's whole number; 0 where it has none.</summary>
         static int Header(string head, string name) {
             var line = head.Split('\n').FirstOrDefault(l => l.StartsWith(name + ":", StringComparison.OrdinalIgnoreCase));
-            int value;
-            return line != null && int.TryParse(line.Substring(name.Length + 1), out value) ? value : 0;
+            return line != null && int.TryParse(line.Substring(name.Length + 1), out int value) ? value : 0;
         }
     }
 }

@@ -36,6 +36,7 @@ namespace GlSplat {
     public sealed class EyeCamera {
         const float MiddleM = 1, NearM = 0.3f; // height of a person's middle; nearest that a picture is put
         public readonly Matrix4x4 Eye;
+        public double Depth; // metres before the eye at which its picture is shown
         readonly Vector2 _low, _high; // left and down; right and up
 
         public EyeCamera(double[] pose, float left, float right, float down, float up) {
@@ -52,8 +53,7 @@ namespace GlSplat {
         }
 
         public static Matrix4x4 Inverse(Matrix4x4 m) {
-            Matrix4x4 found;
-            Matrix4x4.Invert(m, out found);
+            Matrix4x4.Invert(m, out var found);
             return found;
         }
 
@@ -72,9 +72,9 @@ namespace GlSplat {
         }
 
         /// <summary>Return a point of the picture in the user's space: shares of width and height from the upper left, metres.</summary>
-        public double[] Point(double u, double v, double depth) {
+        public double[] Point(double u, double v) {
             var at = new Vector2((float)u, (float)(1 - v)) * (_high - _low) + _low;
-            var point = Vector3.Transform(new Vector3(at, -1) * (float)depth, Eye);
+            var point = Vector3.Transform(new Vector3(at, -1) * (float)Depth, Eye);
             return new double[] { point.X, point.Y, point.Z };
         }
     }

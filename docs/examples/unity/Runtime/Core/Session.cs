@@ -25,7 +25,6 @@ namespace GlSplat {
         readonly bool _reportArrivals;
         double _age, _arrivedAt = -1; // of the newest picture, until reported
 
-        /// <param name="reportArrivals">Let the server fit pictures to the link (docs/protocol.md, section 5.1).</param>
         public Session(bool reportArrivals) { _reportArrivals = reportArrivals; }
 
         /// <summary>Begin a new connection: frame_ids begin at 1.</summary>
@@ -51,8 +50,7 @@ namespace GlSplat {
         public Reply Arrived(byte[] data, double now, out string acknowledgement) {
             acknowledgement = null;
             var reply = Reply.Parse(data);
-            KeyValuePair<double, object> asked;
-            if (!_asked.TryGetValue(reply.FrameId, out asked)) {
+            if (!_asked.TryGetValue(reply.FrameId, out var asked)) {
                 Late++;
                 return null;
             }

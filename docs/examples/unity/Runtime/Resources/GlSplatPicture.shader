@@ -51,6 +51,9 @@ Shader "glsplat/Picture" {
                 bool right = unity_StereoEyeIndex > 0;
                 fixed3 colour = right ? tex2D(_Right, i.share).rgb : tex2D(_Left, i.share).rgb;
                 fixed alpha = right ? tex2D(_RightAlpha, i.share).r : tex2D(_LeftAlpha, i.share).r;
+                #ifndef UNITY_COLORSPACE_GAMMA // the sampler took the alpha for a colour
+                alpha = LinearToGammaSpaceExact(alpha);
+                #endif
                 return fixed4(colour, max(alpha, _Opaque));
             }
             ENDCG

@@ -1,6 +1,8 @@
 using System;
 using System.Collections.Generic;
+using System.IO;
 using UnityEngine;
+using UnityEngine.Networking;
 
 namespace GlSplat {
     /// <summary>Drives an avatar with the headset and shows the server's pictures of it. Put it on an empty object.</summary>
@@ -26,14 +28,10 @@ namespace GlSplat {
         public double Rate { get { return _shown.Count * 1000 / RateMs; } } // pictures a second
         public string Problem { get; private set; } // the server's last complaint
 
-        sealed class Asked {
-            public EyeCamera[] Cameras;
-            public double Depth;
-        }
-
         readonly Queue<double> _shown = new Queue<double>();
-        readonly Queue<KeyValuePair<int, byte[]>> _jpegs = new Queue<KeyValuePair<int, byte[]>>(); // of _loading, by texture
-        Texture2D[] _front = new Texture2D[4], _back = new Texture2D[4];
+        readonly Texture[] _textures = new Texture[4]; // by Names
+        readonly UnityWebRequest[] _decoding = new UnityWebRequest[4];
+        string _files; // folder
         XrTracking _tracking;
         Placing _placing;
         bool _stereo;
@@ -43,21 +41,19 @@ namespace GlSplat {
 
         void OnEnable() {
             if (eyes == null) eyes = Camera.main;
-            Link = new Connection(new ServerAddress {
-                Url = url, Token = token, Fingerprint = fingerprint,
-                Options = {
-                    { "avatar", avatar }, { "room", room == "" ? null : room }, { "name", userName },
-                    { "height", height > 0 ? Math.Round(height, 3) : (object)null }
-                }
-            });
+            _files = Application.temporaryCachePath;
+            var address = new ServerAddress { Url = url, Token = token, Fingerprint = fingerprint };
+            address.Options["avatar"] = avatar;
+            address.Options["name"] = userName;
+            if (room != "") address.Options["room"] = room;
+            if (height > 0) address.Options["height"] = Math.Round(height, 3);
+            Link = new Connection(address, true, Write);
             Link.Complained += error => Problem = error.Code + ": " + error.Message;
             _tracking = new XrTracking((position, rotation) => {
                 var root = eyes.transform.parent;
                 return root ? InSpace(root.TransformPoint(position), root.rotation * rotation) : InSpace(position, rotation);
             });
             _placing = null;
-            for (int i = 0; i < 8; i++) // alpha is linear
-                (i < 4 ? _front : _back)[i % 4] = new Texture2D(2, 2, TextureFormat.RGB24, false, i % 2 == 1) { wrapMode = TextureWrapMode.Clamp };
             _material = new Material(Resources.Load<Shader>("GlSplatPicture"));
             _mesh = new Mesh { vertices = new[] { Vector3.zero, Vector3.right, Vector3.up, new Vector3(1, 1, 0) } }; // shares of the picture
             _mesh.triangles = new[] { 0, 1, 2, 2, 1, 3 };
@@ -66,8 +62,9 @@ namespace GlSplat {
 
         void OnDisable() {
             Link.Dispose();
-            foreach (var texture in _front) Destroy(texture);
-            foreach (var texture in _back) Destroy(texture);
+            _loading = null;
+            foreach (var request in _decoding) request?.Dispose();
+            for (int i = 0; i < 4; i++) Replace(i, null);
             Destroy(_material);
             Destroy(_mesh);
         }
@@ -82,9 +79,8 @@ namespace GlSplat {
             else if (!moved) Ask(sample);
             Load();
             while (_shown.Count > 0 && _shown.Peek() < Link.Now - RateMs) _shown.Dequeue();
-            if (label == null) return;
-            bool open = Link.State == LinkState.Open;
-            label.text = open ? $"{Rate:0} fps, {AgeMs:0} ms ({ServerMs:0} at the server) {Problem}" : Link.Reason;
+            string numbers = $"{Rate:0} fps, {AgeMs:0} ms ({ServerMs:0} at the server) {Problem}";
+            if (label != null) label.text = Link.State == LinkState.Open ? numbers : Link.Reason;
         }
 
         /// <summary>Lay the space over the tracking space, and choose where the avatar is shown.</summary>
@@ -104,16 +100,16 @@ namespace GlSplat {
         }
 
         void Ask(Dictionary<string, object> sample) {
-            var asked = new Asked { Cameras = new EyeCamera[_stereo ? 2 : 1], Depth = room != "" ? CompanyM : NearBodyM };
+            if (_stereo && !sample.ContainsKey("head")) return; // the last picture stays
+            var cameras = new EyeCamera[_stereo ? 2 : 1];
             var fields = new List<object>();
-            for (int i = 0; i < asked.Cameras.Length; i++) {
+            for (int i = 0; i < cameras.Length; i++) {
                 var pose = _stereo ? _tracking.Eye(i) : InSpace(eyes.transform.position, eyes.transform.rotation);
-                if (pose == null || _stereo && !sample.ContainsKey("head")) return; // the last picture stays
-                var projection = _stereo ? eyes.GetStereoProjectionMatrix((Camera.StereoscopicEye)i) : eyes.projectionMatrix;
-                var camera = asked.Cameras[i] = Axes.Camera(pose, projection);
-                if (!_stereo) asked.Depth = camera.Distance(_placing, new double[3]); // the avatar stands at the origin
-                else if (room == "" && _placing.View != View.Own) asked.Depth = camera.Distance(_placing, (double[])sample["head"]);
-                fields.Add(camera.Fields(_placing, side, side));
+                if (pose == null) return;
+                cameras[i] = Axes.Camera(pose, _stereo ? eyes.GetStereoProjectionMatrix((Camera.StereoscopicEye)i) : eyes.projectionMatrix);
+                cameras[i].Depth = room != "" ? CompanyM : _stereo && _placing.View == View.Own ? NearBodyM
+                    : cameras[i].Distance(_placing, _stereo ? (double[])sample["head"] : new double[3]); // untracked: at the origin
+                fields.Add(cameras[i].Fields(_placing, side, side));
             }
             var request = new Dictionary<string, object> { { "t", Link.Now }, { "eyes", fields }, { "size", new[] { side, side } }, { "crop", true } };
             if (alpha) request["alpha"] = "straight"; // right in gamma and in linear colour space
@@ -121,31 +117,48 @@ namespace GlSplat {
             if (_stereo && _placing.View == View.Own) request["hide"] = new[] { "head" };
             if (expression != null) sample["expression"] = expression();
             if (sample.Count > 0) request["tracking"] = sample;
-            Link.Send(request, asked);
+            Link.Send(request, cameras);
         }
 
-        /// <summary>Decode one JPEG of the newest reply. Unity decodes on this thread only, so no frame decodes more.</summary>
+        string PathOf(Reply reply, int texture) { return Path.Combine(_files, $"glsplat-{reply.FrameId % 8}-{texture}.jpg"); }
+
+        /// <summary>Write the JPEGs to files: only from there does Unity decode off its main thread.</summary>
+        void Write(Reply reply) {
+            foreach (var eye in reply.Eyes) {
+                File.WriteAllBytes(PathOf(reply, 2 * eye.Eye), eye.Colour);
+                if (eye.Alpha != null) File.WriteAllBytes(PathOf(reply, 2 * eye.Eye + 1), eye.Alpha);
+            }
+        }
+
+        /// <summary>Let Unity's worker threads decode the newest reply; show it when all of it is decoded.</summary>
         void Load() {
             if (_loading == null) {
                 if ((_loading = Link.Take()) == null) return;
-                foreach (var eye in _loading.Eyes) {
-                    _jpegs.Enqueue(new KeyValuePair<int, byte[]>(2 * eye.Eye, eye.Colour));
-                    if (eye.Alpha != null) _jpegs.Enqueue(new KeyValuePair<int, byte[]>(2 * eye.Eye + 1, eye.Alpha));
+                for (int i = 0; i < 2 * _loading.Eyes.Count; i++) {
+                    if (i % 2 == 1 && _loading.Eyes[0].Alpha == null) continue;
+                    _decoding[i] = UnityWebRequestTexture.GetTexture(new Uri(PathOf(_loading, i)).AbsoluteUri, true);
+                    _decoding[i].SendWebRequest();
                 }
             }
-            var next = _jpegs.Dequeue();
-            _back[next.Key].LoadImage(next.Value);
-            if (_jpegs.Count > 0) return;
+            foreach (var request in _decoding) if (request != null && !request.isDone) return;
+            for (int i = 0; i < 4; i++) Replace(i, _decoding[i]);
             Show(_loading);
             _loading = null;
         }
 
-        /// <summary>Show the decoded pair where its eyes saw it.</summary>
+        void Replace(int i, UnityWebRequest decoded) {
+            if (_textures[i] != null) Destroy(_textures[i]);
+            _textures[i] = null;
+            _decoding[i] = null;
+            if (decoded == null) return;
+            if (decoded.result == UnityWebRequest.Result.Success) _textures[i] = DownloadHandlerTexture.GetContent(decoded);
+            else Problem = "a picture cannot be decoded: " + decoded.error;
+            decoded.Dispose();
+        }
+
+        /// <summary>Show the pair where its eyes requested it.</summary>
         void Show(Reply reply) {
-            var swapped = _front;
-            _front = _back;
-            _back = swapped;
-            var asked = (Asked)reply.About;
+            var cameras = (EyeCamera[])reply.About;
             var size = Json.Numbers(Json.Get(reply.Info, "size"));
             var crops = Json.Get(reply.Info, "crop") as List<object>;
             var corners = new Vector4[8];
@@ -153,10 +166,10 @@ namespace GlSplat {
                 int eye = Math.Min(i / 4, reply.Eyes.Count - 1);
                 var box = crops == null ? new[] { 0, 0, size[0], size[1] } : Json.Numbers(crops[eye]);
                 double u = (box[0] + i % 2 * box[2]) / size[0], v = (box[1] + (1 - i / 2 % 2) * box[3]) / size[1]; // textures begin at the bottom
-                corners[i] = Axes.Point(asked.Cameras[eye].Point(u, v, asked.Depth));
+                corners[i] = Axes.Point(cameras[eye].Point(u, v));
             }
             _material.SetVectorArray("_Corners", corners);
-            for (int i = 0; i < 4; i++) _material.SetTexture(Names[i], _front[reply.Eyes.Count < 2 ? i % 2 : i]);
+            for (int i = 0; i < 4; i++) _material.SetTexture(Names[i], _textures[reply.Eyes.Count < 2 ? i % 2 : i]);
             _material.SetFloat("_Opaque", reply.Eyes[0].Alpha == null ? 1 : 0);
             AgeMs = Link.Now - reply.RequestedAt;
             ServerMs = Json.Get(Json.Get(reply.Info, "times"), "total") as double? ?? 0;

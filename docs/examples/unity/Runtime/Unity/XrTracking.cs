@@ -25,10 +25,9 @@ namespace GlSplat {
             AddController(sample, "left", XRNode.LeftHand);
             AddController(sample, "right", XRNode.RightHand);
             AddHands(sample);
-            Quaternion look, gaze;
             InputDevices.GetDevicesWithCharacteristics(InputDeviceCharacteristics.EyeTracking, _devices);
             foreach (var eyes in _devices)
-                if (eyes.TryGetFeatureValue(Gaze, out gaze) && head.TryGetFeatureValue(CommonUsages.centerEyeRotation, out look))
+                if (eyes.TryGetFeatureValue(Gaze, out var gaze) && head.TryGetFeatureValue(CommonUsages.centerEyeRotation, out var look))
                     sample["leftEye"] = sample["rightEye"] = Axes.Direction(Quaternion.Inverse(look) * gaze * Vector3.forward);
             return sample;
         }
@@ -36,26 +35,21 @@ namespace GlSplat {
         /// <summary>Return the pose of eye 0 (left) or 1; null if untracked.</summary>
         public double[] Eye(int eye) {
             var found = new Dictionary<string, object>();
-            var head = InputDevices.GetDeviceAtXRNode(XRNode.Head);
-            if (eye == 0) Add(found, "eye", head, CommonUsages.leftEyePosition, CommonUsages.leftEyeRotation);
-            else Add(found, "eye", head, CommonUsages.rightEyePosition, CommonUsages.rightEyeRotation);
+            Add(found, "eye", InputDevices.GetDeviceAtXRNode(XRNode.Head), eye == 0 ? CommonUsages.leftEyePosition : CommonUsages.rightEyePosition,
+                eye == 0 ? CommonUsages.leftEyeRotation : CommonUsages.rightEyeRotation);
             return found.Count > 0 ? (double[])found["eye"] : null;
         }
 
         void Add(Dictionary<string, object> to, string key, InputDevice device, InputFeatureUsage<Vector3> where, InputFeatureUsage<Quaternion> how) {
-            bool tracked;
-            Vector3 position;
-            Quaternion rotation;
-            if (device.TryGetFeatureValue(CommonUsages.isTracked, out tracked) && !tracked) return;
-            if (device.TryGetFeatureValue(where, out position) && device.TryGetFeatureValue(how, out rotation)) to[key] = _pose(position, rotation);
+            if (device.TryGetFeatureValue(CommonUsages.isTracked, out var tracked) && !tracked) return;
+            if (device.TryGetFeatureValue(where, out var position) && device.TryGetFeatureValue(how, out var rotation)) to[key] = _pose(position, rotation);
         }
 
         void AddController(Dictionary<string, object> sample, string side, XRNode node) {
             var device = InputDevices.GetDeviceAtXRNode(node);
             Add(sample, side + "_grip", device, CommonUsages.devicePosition, CommonUsages.deviceRotation);
-            float grip, trigger;
-            if (!sample.ContainsKey(side + "_grip") || !device.TryGetFeatureValue(CommonUsages.grip, out grip)) return;
-            device.TryGetFeatureValue(CommonUsages.trigger, out trigger);
+            if (!sample.ContainsKey(side + "_grip") || !device.TryGetFeatureValue(CommonUsages.grip, out var grip)) return;
+            device.TryGetFeatureValue(CommonUsages.trigger, out var trigger);
             sample[side + "_curl"] = Grasp + (1 - Grasp) * Math.Max(grip, trigger / 2); // one finger is not a fist
         }
 
@@ -73,9 +67,8 @@ namespace GlSplat {
         void AddHand(Dictionary<string, object> sample, string side, XRHand hand) {
             var joints = new List<double>();
             for (var id = XRHandJointID.BeginMarker; id < XRHandJointID.EndMarker; id++) { // WebXR's order, and the palm
-                Pose pose;
                 if (id == XRHandJointID.Palm) continue;
-                if (!hand.GetJoint(id).TryGetPose(out pose)) return;
+                if (!hand.GetJoint(id).TryGetPose(out var pose)) return;
                 var found = _pose(pose.position, pose.rotation);
                 if (id == XRHandJointID.Wrist) sample[side] = found;
                 joints.AddRange(new[] { found[0], found[1], found[2] });
