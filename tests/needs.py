@@ -117,6 +117,8 @@ NEEDS = {
     "zink": Need("lavapipe, which zink draws on", ("mesa-vulkan-drivers",), "check", libraries=("libvulkan_lvp.so",)),
     "openssl": Need("openssl", ("openssl",), "check", programs=("openssl",)),
     "nginx": Need("nginx", ("nginx",), "check", programs=("nginx", "/usr/sbin/nginx")),
+    # of the C# client's tests
+    "mono": Need("Mono and its C# compiler", ("mono-mcs", "mono-runtime"), "check", programs=("mcs",)),
     "chromium": Need("Chromium", ("chromium",), "browser", programs=_CHROMIUM),
     # of the driver that the Python package playwright brings
     "atomic": Need("libatomic", ("libatomic1",), "browser", libraries=("libatomic.so.1",)),

@@ -68,7 +68,7 @@ def test_the_site_is_whole_without_a_network(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0 and "WARNING" not in done.stdout + done.stderr, done.stderr
     pages = sorted(site.rglob("*.html"))
-    assert {f"{Path(page).with_suffix('.html')}" for page in NAV} <= {
+    assert {f"{Path(page).with_suffix('.html')}".replace("README", "index") for page in NAV} <= {
         page.relative_to(site).as_posix() for page in pages
     }
     for page in pages:

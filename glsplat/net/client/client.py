@@ -121,8 +121,7 @@ class Client:
             return
         await self.close()
         tls = client_tls(self._cafile) if self._cafile else True
-        query = urlencode(self._query | ({"resume": self._resume} if self._resume else {}))
-        url = self.url + (("&" if "?" in self.url else "?") + query if query else "")
+        url = self._address()
         http = aiohttp.ClientSession()
         try:
             async with asyncio.timeout(self._timeout):
@@ -218,6 +217,11 @@ class Client:
         The newest 8 are kept. Raises the server's errors that no ``render`` waits for.
         """
         return await self._open().next(self._timeout)
+
+    def _address(self) -> str:
+        """Return the address of the next connection, with its options."""
+        query = urlencode(self._query | ({"resume": self._resume} if self._resume else {}))
+        return self.url + (("&" if "?" in self.url else "?") + query if query else "")
 
     def _request(
         self, connection: ClientConnection, cameras: Sequence[Camera] | None, **fields: Any

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from importlib import resources
 from pathlib import Path
@@ -13,16 +12,14 @@ import numpy as np
 from glsplat.data import default_avatar
 from glsplat.light import Light
 from glsplat.motion.motion import Motion
-from glsplat.net.codec.depth import DepthGrid, grid_of
 from glsplat.net.options import NAME
-from glsplat.net.reply import pack_reply, parse_reply
 from glsplat.rotations import FLIP_X, rotation_matrices
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.calibration import EYES_OF_STATURE, calibrate
 from glsplat.tracking.sample import Sample
 from tests.light.lit import random_light
-from tests.twins import Twin, both_sides, text_of
+from tests.twins import Twin, both_sides
 
 
 def turned(light: dict[str, Any], matrix: list[float]) -> dict[str, Any]:
@@ -58,29 +55,6 @@ def moments() -> list[dict[str, Any]]:
         {"root_pose": [0, angle, 0], "body_pose": [[0, 0, 0]] * 21, "trans": [0, 0, 0]} for angle in (3.0, -3.0)
     ]
     return [*out, {"fps": 1.0, "frames": half_turn, "seconds": 0.5}]  # the short way, over pi
-
-
-def reply(data: str) -> dict[str, Any]:
-    """Return the parts of a reply with pictures; those in base64, depth grids as inverse metres."""
-    found = parse_reply(base64.b64decode(data))
-    return {
-        "id": found.frame_id,
-        "eyes": [[eye, text_of(one), text_of(found.alphas.get(eye, b""))] for eye, one in found.pictures.items()],
-        "info": found.info,
-        "depth": [[grid.columns, grid.rows, *(1 / grid.metres()).ravel().tolist()] for grid in found.depth],
-    }
-
-
-def replies() -> list[dict[str, str]]:
-    rng = np.random.default_rng(8)
-    left, right, alpha = (b"\xff\xd8" + rng.bytes(size) for size in (20, 31, 9))
-    grids = tuple(grid_of(rng.uniform(0.3, 2, (3, 4))) for _ in range(2))
-    deep = {"size": [8, 8], "depth": DepthGrid.fields(grids)}
-    return [
-        {"data": text_of(pack_reply(7, [0, 1], [left, right], {"size": [8, 8], "driver": "Ä"}))},
-        {"data": text_of(pack_reply(2**32 - 1, [1], [right], {}, [alpha]))},
-        {"data": text_of(pack_reply(9, [0, 1], [left, right], deep, [alpha, alpha], [grid.data for grid in grids]))},
-    ]
 
 
 def calibrated(samples: list[dict[str, Any]], height: float | None) -> dict[str, Any]:
@@ -134,7 +108,6 @@ def names() -> list[dict[str, str]]:
 TWINS = {
     "turned": Twin(turned, turns),
     "motion": Twin(motion, moments, 1e-6),
-    "reply": Twin(reply, replies, 1e-6),
     "calibrated": Twin(calibrated, standing, 2e-3),
     "named": Twin(named, names, 0),
 }

@@ -1,9 +1,8 @@
 import { NAME } from './settings.js';
 import { turned } from './space/light.js';
-import { parseReply } from './stream/reply.js';
 import { Calibration } from './track/calibration.js';
 import { Motion } from './track/drivers.js';
-import { bytesOf, check, textOf } from './twins.js';
+import { check } from './twins.js';
 
 /** A rotation vector as a matrix, row by row (Rodrigues). */
 function matrixOf([x, y, z]) {
@@ -22,17 +21,6 @@ check({
   motion({ fps, frames, seconds }) {
     const { root_pose: root, body_pose: body, trans } = new Motion({ fps, frames }).at(seconds).pose;
     return { body: [...root, ...body].flatMap(matrixOf), trans: trans.flat() };
-  },
-  reply({ data }) {
-    const bytes = bytesOf(data);
-    const { id, eyes, info, depth } = parseReply(bytes.buffer);
-    const part = (at) => (at ? textOf(bytes.subarray(at[0], at[0] + at[1])) : '');
-    return {
-      id,
-      eyes: eyes.map(({ eye, colour, alpha }) => [eye, part(colour), part(alpha)]),
-      info,
-      depth: (depth ?? []).map(({ columns, rows, inverse }) => [columns, rows, ...inverse]),
-    };
   },
   calibrated({ samples, height }) {
     const calibration = new Calibration(null);

@@ -186,11 +186,12 @@ export class Connection extends EventTarget {
     if (reply.info?.datagrams) this.#openDatagrams(reply.info.datagrams);
     if (reply.info?.room?.resume) this.#resume = reply.info.room.resume;
     this.#failures = 0; // not on opening: a server may accept and drop at once
+    if (reply.id <= this.#acknowledged || reply.id > this.sentId) return; // late, or never requested
     this.received++;
-    this.receivedId = this.#acknowledged = Math.max(this.#acknowledged, reply.id);
+    this.receivedId = this.#acknowledged = reply.id;
     const found = this.#asked.get(reply.id);
     const now = performance.now();
-    if (found && reply.id === this.#acknowledged) this.#arrival = { age: now - found.sent, at: now };
+    if (found) this.#arrival = { age: now - found.sent, at: now };
     // acknowledge now, so that a request that waits for the window is drawn before the next one is sent
     const listens = this.#socket.readyState === WebSocket.OPEN;
     if (listens && this.sentId > reply.id) this.#socket.send(JSON.stringify({ v: 1, ...this.#acknowledging() }));
