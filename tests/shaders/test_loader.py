@@ -143,7 +143,7 @@ def test_the_variants_that_matter_compile(gl: Context) -> None:
     for variant in ROWS:
         if variant.pulled and not gl.vertex_storage:
             continue
-        programs.feedback("key", variant, ("key", "cover"), separate=True)
+        programs.feedback("key", variant, ("key", "cover"))
         programs.feedback("project", variant, [name for name, _ in record_layout(variant)])
         program = programs.draw("splat", "splat", variant)
         assert attributes_of(program) == {name for name, _ in record_layout(variant) if not variant.pulled}
