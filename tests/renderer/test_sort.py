@@ -13,6 +13,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig, with_fields
+from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer, gpu_sort
 from glsplat.renderer.gpu_sort import TILE, GpuSorter
@@ -176,6 +177,27 @@ def test_the_measurement_sorts_on_both(context: Context, monkeypatch: pytest.Mon
         assert [gpu_sort._measured(context.ctx, programs, 1024) for _ in range(2)] == [True, False]
         assert gpu_sort.gpu_sorts_faster(replace(context, software=False), programs, 10**6)
         programs.release()
+
+
+@pytest.mark.gl
+def test_buffers_above_the_driver_s_limit_are_sorted_on_the_cpu(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not context.compute:
+        pytest.skip("no OpenGL 4.3")
+    monkeypatch.setitem(context.ctx.info, "GL_MAX_SHADER_STORAGE_BLOCK_SIZE", 4096)
+    monkeypatch.setattr(gpu_sort, "_measured", lambda *_: pytest.fail("measured"))
+    driver = replace(context, software=False)
+    with Renderer(cloud(800), size=(64, 64), context=driver) as renderer:
+        assert renderer.render([camera()]).any()
+    with Renderer(cloud(800), size=(64, 64), config=RenderConfig(sorter="gpu"), context=driver) as renderer:
+        with pytest.raises(ContextError, match="800 splats exceed this driver's 4096 byte buffers"):
+            renderer.render([camera()])
+
+
+def test_a_dispatch_has_fewer_groups_than_drivers_allow() -> None:
+    assert gpu_sort._groups(0) == 1 and gpu_sort._groups(TILE + 1) == 2
+    assert gpu_sort._groups(2**31) < 65536
 
 
 def test_covered_box() -> None:
