@@ -155,6 +155,7 @@ def _least_ms(ctx: moderngl.Context, step: Callable[[], None]) -> float:
 def _groups(count: int) -> int:
     """Return the work groups of a dispatch.
 
-    Each adds up the counts of all. There are so many that this reads at most 16 bytes a splat and pass, from the cache.
+    Each adds up the counts of all. That reads at most 16 bytes a splat and digit, from the cache.
+    Up to 32 groups share even few splats, so that more than a corner of a GPU works.
     """
-    return max(1, min(-(-count // TILE), math.isqrt(count // 64)))
+    return max(1, min(-(-count // TILE), max(32, math.isqrt(count // 128))))
