@@ -248,7 +248,9 @@ def add_driver(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--float-target", choices=("auto", "8", "16f", "32f"), default="auto", help="accumulation format"
     )
-    parser.add_argument("--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted")
+    parser.add_argument(
+        "--sorter", choices=("auto", "cpu", "gpu"), default="auto", help="where splats are sorted (auto: the faster)"
+    )
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
 
 

@@ -96,7 +96,7 @@ class GpuScene:
         return sum(item.count + item.skipped for item in self.arena.shown_items)
 
     def nbytes(self) -> dict[str, int]:
-        """Return GPU bytes: splats (items and arenas), meshes, sh, work (keys, order, records)."""
+        """Return GPU bytes: splats (items and arenas), meshes, sh, work (order, records)."""
         return {
             "splats": sum(buffers.nbytes for buffers in self._buffers.values())
             + sum(arena.geometry_nbytes for arena in self._arenas),

@@ -19,7 +19,7 @@ from glsplat.pictures import lifted
 from glsplat.renderer.arena import Arena
 from glsplat.renderer.draw import BackgroundPass, DrawPass, Slices, corners_of, fits
 from glsplat.renderer.frame_block import FrameBlock
-from glsplat.renderer.gpu_sort import GpuSorter
+from glsplat.renderer.gpu_sort import GpuSorter, gpu_sorts_faster
 from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
 from glsplat.renderer.mesh_pass import MeshPass
 from glsplat.renderer.owned import owned
@@ -43,9 +43,7 @@ class Pipeline:
     def __init__(
         self, context: Context, programs: Programs, variant: Variant, arena: Arena, config: RenderConfig
     ) -> None:
-        automatic = config.sorter == "auto" and context.compute and not context.software
-        by_gpu = config.sorter == "gpu" or automatic
-        ctx, count = context.ctx, arena.count if by_gpu else arena.most  # the GPU sorts hidden parts, too
+        ctx, count = context.ctx, arena.most
         if variant.pulled and not fits(ctx, variant, count):
             variant = replace(variant, pulled=0)
         self._arena, self._config, self.variant = arena, config, variant
@@ -65,14 +63,14 @@ class Pipeline:
             self._frame = owned(stack, FrameBlock(ctx, variant.views))
             self._project = owned(stack, ProjectPass(context, programs, variant, count))
             records, order = self._project.records, self._project.order
-            self._keys: moderngl.Buffer | None = None
-            if by_gpu and (config.sorter == "gpu" or GpuSorter.fits(ctx, records)):
-                self._keys = owned(stack, ctx.buffer(reserve=max(16, count * 4)))
-            self._key = owned(stack, KeyPass(ctx, programs, variant, arena, self._keys, records))
+            self._key = owned(stack, KeyPass(ctx, programs, variant, arena, records))
             self._sorter: GpuSorter | None = None
-            if self._keys is not None:
+            by_gpu = config.sorter == "gpu"
+            if config.sorter == "auto" and GpuSorter.fits(context, records):
+                by_gpu = gpu_sorts_faster(context, programs, count)
+            if by_gpu:
                 settings = (count, variant.views, config.debug.sort_bits, corners_of(variant), bool(variant.pulled))
-                self._sorter = owned(stack, GpuSorter(ctx, programs, self._keys, order, records, *settings))
+                self._sorter = owned(stack, GpuSorter(ctx, programs, order, records, *settings))
             self._draw = owned(stack, DrawPass(context, programs, variant, self._project.records))
             self._background = owned(stack, BackgroundPass(ctx, programs, variant))
             self._resolve = owned(stack, ResolvePass(ctx, programs, variant))
@@ -86,8 +84,7 @@ class Pipeline:
     @property
     def nbytes(self) -> int:
         """GPU bytes of the work buffers."""
-        keys = self._keys.size if self._keys else 0
-        return keys + self._project.order.size + self._project.records.size
+        return self._project.order.size + self._project.records.size
 
     def make_records(
         self,
@@ -134,7 +131,7 @@ class Pipeline:
                 self._sort_on_gpu(self._sorter, timer, itemised=costed == 2)
             self.covered = (0, 0, views[0].width, views[0].height)
         timer.mark("sort")
-        self._project.run(light)
+        self._project.run(light, self._sorter.indirect if self._sorter else None)
         timer.mark("project")
         self._order_age, self._seen = age, state
         if self._sorter and costed:
@@ -145,9 +142,9 @@ class Pipeline:
         self._key.run(self._arena.ranges)
         timer.mark("key")
         if itemised:
-            self.item_costs = self._itemised(self._key.read_costs(self._arena.ranges))
-        sorter.run()
-        self._project.count = self._arena.count  # culled splats sort last; the indirect draw leaves them out
+            self.item_costs = self._itemised(self._key.read()[2])
+        sorter.run(self._arena.ranges)
+        self._project.count = self._arena.most  # as long as only the GPU knows the number
         self._counted = False
 
     def _sort_on_host(self, view: Camera, timer: StageTimer, resort: bool, costed: bool) -> None:

@@ -118,7 +118,7 @@ class Renderer:
         return len(self._programs)
 
     def nbytes(self) -> dict[str, int]:
-        """Return GPU bytes: splats, meshes, sh, work (keys, order, records; one set per variant in use), targets.
+        """Return GPU bytes: splats, meshes, sh, work (order, records; one set per variant in use), targets.
 
         Bone textures and uniform blocks are not counted; they do not grow with the splats.
         """

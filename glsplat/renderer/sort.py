@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from glsplat.renderer.stats import Box
 
-__all__ = ["CULL_REASONS", "FIRST_CULLED", "NOT_SHOWN", "count_culled", "covered_box", "sorted_indices"]
+__all__ = ["CULL_REASONS", "FIRST_CULLED", "count_culled", "covered_box", "sorted_indices"]
 
 FIRST_CULLED = 0xFFFFFF00
 CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside", 5: "hidden"}
 """Code of project.glsl -> name in the statistics."""
-NOT_SHOWN = FIRST_CULLED + 7
-"""Code of a splat of the arena that this picture does not show; it is not counted."""
 
 
 def sorted_indices(keys: NDArray[np.uint32], bits: int = 32) -> NDArray[np.uint32]:

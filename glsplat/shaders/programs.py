@@ -29,11 +29,9 @@ class Programs:
     def __len__(self) -> int:
         return len(self._cache)
 
-    def feedback(
-        self, name: str, variant: Variant | SkinVariant, varyings: Sequence[str], separate: bool = False
-    ) -> moderngl.Program:
-        """Return the program ``name``.vert.glsl that captures ``varyings``, into one buffer or ``separate`` ones."""
-        return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings, separate)
+    def feedback(self, name: str, variant: Variant | SkinVariant, varyings: Sequence[str]) -> moderngl.Program:
+        """Return the program ``name``.vert.glsl that captures ``varyings``, interleaved in one buffer."""
+        return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings)
 
     def draw(
         self,
@@ -57,13 +55,12 @@ class Programs:
         stages: Mapping[str, str],
         variant: Variant | SkinVariant | MeshVariant | ResolveVariant,
         varyings: Sequence[str] = (),
-        separate: bool = False,
         overrides: Mapping[str, str] = {},
     ) -> moderngl.Program:
         sources = {stage: flatten(file, variant.defines(), overrides=overrides) for stage, file in stages.items()}
-        key = (*(source.text for source in sources.values()), *varyings, separate)
+        key = (*(source.text for source in sources.values()), *varyings)
         if key not in self._cache:
-            self._cache[key] = link(self._ctx, name, sources, varyings, separate)
+            self._cache[key] = link(self._ctx, name, sources, varyings)
         program = self._cache[key]
         assert isinstance(program, moderngl.Program)
         return program
@@ -94,7 +91,6 @@ def link(
     name: str,
     stages: Mapping[str, Source],
     varyings: Sequence[str] = (),
-    separate: bool = False,
 ) -> moderngl.Program:
     """Return the linked program, its samplers and Frame block bound to their slots.
 
@@ -107,7 +103,7 @@ def link(
                 fragment_shader=stages["fragment_shader"].text if "fragment_shader" in stages else None,
                 geometry_shader=stages["geometry_shader"].text if "geometry_shader" in stages else None,
                 varyings=tuple(varyings),
-                varyings_capture_mode="separate" if separate else "interleaved",
+                varyings_capture_mode="interleaved",
             )
     except moderngl.Error as error:
         raise ShaderError(_message(name, stages, str(error))) from None
