@@ -397,7 +397,7 @@ def read_options(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: this is no TOML ({' '.join(str(error).split())})") from None
+        raise UsageError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
     read = {}
     for name, value in found.items():
         if isinstance(value, dict):

@@ -154,7 +154,7 @@ def run_calibrate(args: argparse.Namespace) -> int:
     if args.find_size:
         calibration = found_size(list(replay(args.recording)), skeleton, args.floor or 0.0)
         if calibration.eye_height is None:
-            raise PoseError(f"{args.recording}: nobody is seen to stand for a second; give --height in metres")
+            raise PoseError(f"{args.recording}: nobody stands still for a second in it; give --height in metres")
     elif args.recording:
         calibration = calibrate(list(replay(args.recording)), skeleton, args.floor, args.height)
     elif args.height is not None:

@@ -133,7 +133,7 @@ def test_what_the_program_reads_the_page_reads_and_what_it_refuses_too(page, tmp
             list(replay(path))
         said = parsed(page, path.read_text(encoding="utf-8"))
         assert isinstance(said, str) and said.startswith("The recording's line 3: ") and "\n" not in said, text
-    assert parsed(page, "") == parsed(page, "\n\n") == "The recording holds no sample with a time."
+    assert parsed(page, "") == parsed(page, "\n\n") == "The recording has no sample with a time."
     times = "\n".join(line(t=t) for t in (5.0, 5.1, 5.05, 5.1, 5.2))  # what does not grow is passed over
     call = "(text) => { const r = new Recording(parseRecording(text)); return [r.frames, r.at(0.15).t]; }"
     assert page.evaluate(call, times) == [3, pytest.approx(100)]

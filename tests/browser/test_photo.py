@@ -128,7 +128,7 @@ def test_what_is_wrong_is_said_and_it_is_made_anyway(open_page: OpenPage, taking
     send(page, picture("doubt known"))
     page.until("!document.querySelector('#photo-anyway').hidden")
     found = page.page.locator("#photo-findings li").all_text_contents()
-    assert found and said(page) == "The picture may not do:" and page.page.is_visible("#photo-again")
+    assert found and said(page) == "The picture may not be suitable:" and page.page.is_visible("#photo-again")
     queue = served.server.feature(Uploads)._queue
     other = queue.book("elsewhere")
     page.page.click("#photo-anyway")

@@ -154,7 +154,7 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   young.frame(0);
   said.push([young.asks('', 1900)]); // how fast pictures come is not known yet
   run(choice, 0, 2000, 72); // pictures, on a display of 72 Hz
-  said.push([choice.here, Math.round(choice.display), choice.asks('the avatar is on its way', 2000), choice.reason]);
+  said.push([choice.here, Math.round(choice.display), choice.asks('the avatar is loading', 2000), choice.reason]);
   said.push([choice.asks('', 2000)]);
   choice.measured(50, 30, 2000); // 20 a second against 30
   said.push([choice.here, choice.reason, choice.asks('', 2001), choice.asks('', 62001)]);

@@ -213,7 +213,7 @@ def test_deleted_whole(path: Path, tmp_path: Path) -> None:
     (tmp_path / "sub-008").mkdir()
     assert remove(tmp_path, 7) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["sub-008"]
-    with pytest.raises(FormatError, match="nothing of this participant"):
+    with pytest.raises(FormatError, match="no data of this participant"):
         remove(tmp_path, 7)
 
 

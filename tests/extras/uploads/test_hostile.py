@@ -159,7 +159,7 @@ async def test_a_disk_that_is_full_says_so_and_keeps_nothing(takes, monkeypatch)
     async with takes() as client:
         monkeypatch.setattr(glsplat.extras.uploads.upload_store, "replace_file", full)
         told = await client.job(PICTURE, "failed")
-        assert told["error"] == "the avatar could not be kept: this server's disk refuses it"  # and names no file
+        assert told["error"] == "the avatar could not be saved: the server cannot write to its disk"  # no file named
         assert client.kept() == [] and await client.offered() == ["default"]
 
 

@@ -84,7 +84,7 @@ def test_no_plan_no_effect_no_runs() -> None:
     mistakes: list[tuple[dict[str, Any], str]] = [
         ({"participants": 1}, "1 groups need 2 participants or more, not 1"),
         ({"participants": 3, "between": frozenset({"type"})}, "2 groups need 4"),
-        ({"between": frozenset({"colour"})}, "no factor is called 'colour'"),
+        ({"between": frozenset({"colour"})}, "no factor is named 'colour'"),
         ({"correlation": 1.0}, "correlation needs 0 or more"),
         ({"points": 1}, "2 to 1000 points"),
         ({"participants": 9999}, "at most 20000 answers"),
