@@ -132,7 +132,7 @@ def test_what_the_program_reads_the_page_reads_and_what_it_refuses_too(page, tmp
         with pytest.raises(FormatError, match="line 3"):
             list(replay(path))
         said = parsed(page, path.read_text(encoding="utf-8"))
-        assert isinstance(said, str) and said.startswith("The recording's line 3: ") and "\n" not in said, text
+        assert isinstance(said, str) and said.startswith("Line 3 of the recording: ") and "\n" not in said, text
     assert parsed(page, "") == parsed(page, "\n\n") == "The recording has no sample with a time."
     times = "\n".join(line(t=t) for t in (5.0, 5.1, 5.05, 5.1, 5.2))  # what does not grow is passed over
     call = "(text) => { const r = new Recording(parseRecording(text)); return [r.frames, r.at(0.15).t]; }"
@@ -205,7 +205,7 @@ def standing(rng, seconds=2.2, eyes=1.6, span=None, wobble=0.004):
 def test_calibration_says_why_it_failed(page, rng):
     for samples, word in (
         (standing(rng, wobble=0.2), "moved"),
-        (standing(rng)[:9], "hardly tracked"),
+        (standing(rng)[:9], "lost tracking"),
         (standing(rng, eyes=0.4), "0.40 m"),
         (standing(rng, eyes=2.7), "2.70 m"),
     ):

@@ -93,7 +93,7 @@ def test_it_is_timed_when_all_of_the_avatar_is_there(visit: Callable[..., Opened
     page.until("window.first && window.glsplat.stats().shown > 2")
     page.wait(3.0)  # pictures are watched for two
     drawn = page.stats()["drawn"]
-    assert (drawn["by"], drawn["reason"], drawn["avatars"]) == ("server", "the avatar is on its way", 1)
+    assert (drawn["by"], drawn["reason"], drawn["avatars"]) == ("server", "the avatar is loading", 1)
     page.js("window.rest()")
     page.until(f"/pictures a second/.test({DRAWN}.reason)")
 
@@ -188,7 +188,7 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
 def test_the_choice(bench: Bench) -> None:
     first, *said = bench.js(CHOICE)
     assert first == [False]
-    assert said[0] == [False, 72, False, "the avatar is on its way"] and said[1] == [True]
+    assert said[0] == [False, 72, False, "the avatar is loading"] and said[1] == [True]
     assert said[2] == [False, "the server is faster: 30 pictures a second, 20 here", False, True]
     assert said[3] == [True, "72 pictures a second here, 30 from the server"]
     assert said[4] == [True] and said[5] == [True]
