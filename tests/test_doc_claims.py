@@ -203,10 +203,10 @@ def test_numbers_are_the_constants_of_the_code(page: str) -> None:
     for words, expression in CONSTANTS[page].items():
         before, after = map(re.escape, words.split("#"))
         found = re.search(rf"{before}(\d(?:[\d ,.]*\d)?|\w+){after}", text)
-        said = found and NUMBERS.get(found[1], found[1])
-        true = of_code(expression)
-        if said is None or abs(float(f"{said}".replace(" ", "").replace(",", "")) / true - 1) > 1e-9:
-            wrong.append(f"{words}: {said}, in the code {true:g}")
+        said = re.sub("[ ,]", "", found[1]) if found else "nan"
+        number, true = float(NUMBERS.get(said, said)), of_code(expression)
+        if not abs(number / true - 1) < 1e-9:
+            wrong.append(f"{words}: {number:g}, in the code {true:g}")
     assert not wrong
 
 
@@ -216,6 +216,15 @@ def test_a_number_is_that_of_the_code(page: str, pattern: str, true: Callable[[]
     assert found is not None, f"{page} has no {pattern!r} any more: change the claim here"
     word = found[1].lower()
     assert NUMBERS[word] if word in NUMBERS else int(word) == true()
+
+
+def test_the_sizes_of_the_extras_are_about_right() -> None:
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").partition("## The extras")[2]
+    said = {name: int(lines.replace(",", "")) for name, lines in re.findall(r"\*\*`(\w+)`\*\* \(([\d,]+)", text)}
+    folder = ROOT / "glsplat/extras"
+    true = {name: sum(len(file.read_bytes().splitlines()) for file in (folder / name).rglob("*.py")) for name in said}
+    assert said == pytest.approx(true, rel=0.1, abs=60)
+    assert {path.parent.name for path in folder.glob("*/__init__.py")} == set(said)
 
 
 def test_every_command_has_its_place_in_the_docs() -> None:

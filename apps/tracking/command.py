@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--height", type=float, help="the user's stature in metres")
     command.add_argument("--floor", type=float, help="y of the floor in the tracking space (default 0)")
     command.add_argument(
-        "--find-size", action="store_true", help="by what a session finds by itself: nobody has to stand still"
+        "--find-size", action="store_true", help="measure the size as a session does: nobody has to stand still"
     )
     add_skeleton(command)
     command.set_defaults(work=run_calibrate)
