@@ -227,4 +227,4 @@ def test_a_kept_calibration_is_checked(page):
       return [...out, none.load(), none.save({}), none.add(null, 1).error];
     }""")
     assert found[0] is None and found[1] == {"height": 1.7, "eyes": 1.59, "span": None, "floor": 0.01}
-    assert found[2:8] == [None] * 6 and found[8] is False and "begin" in found[9]
+    assert found[2:8] == [None] * 6 and found[8] is False and "start one" in found[9]

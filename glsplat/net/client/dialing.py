@@ -110,7 +110,7 @@ def _refused(url: str, error: aiohttp.WSServerHandshakeError, offered: Sequence[
     reasons = {
         400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
         "height 0.5 to 2.8, span 0.3 to 2.5, name letters and digits, at x,z,degrees",
-        401: "it wants a token; give it with --token-file",
+        401: "it needs a token; give it with --token-file",
         403: "it does not serve this origin, or this account may not have this avatar, room or name now",
         404: "there is no such room, which /session lists, or no WebSocket at this path, which is /ws",
         409: "somebody of this name is in the room, or was a moment ago; choose another",

@@ -138,7 +138,7 @@ def test_what_cannot_be_drawn_here_is_drawn_by_the_server(visit: Callable[..., O
     damaged.page.goto(served.page)
     starved = "WebGL2RenderingContext.prototype.getError = () => 0x0505;"
     for page, words in (
-        (damaged, "the avatar did not come"),
+        (damaged, "the avatar did not load"),
         (visit(served.page, init=f"{chosen};{starved}"), "not enough memory for these splats"),
     ):
         page.until(f"window.glsplat?.stats().shown > 2 && {DRAWN}.reason.includes('{words}')")

@@ -139,7 +139,7 @@ def test_another_certificates_key_is_a_damaged_one(folder, tmp_path):
     "name", ["", "two words", "bücher.example", "a" * 64 + ".example", "*", "a.*.example", "lab:80"]
 )
 def test_names_that_no_certificate_can_hold(folder, name):
-    with pytest.raises(GlsplatError, match="is no name that a certificate can hold: expected letters, digits"):
+    with pytest.raises(GlsplatError, match="is not a name that a certificate can hold: expected letters, digits"):
         kept_certificate(folder, (name,))
     assert not list(folder.iterdir())
 

@@ -58,7 +58,7 @@ def test_what_was_said_cannot_be_said_back():
             greet(ours, b"s" * 32, worker=False)
         echo.join()
         ours.sendall(b"HTTP/1.1 200 OK".ljust(48))
-        with pytest.raises(GlsplatError, match="no glsplat worker"):
+        with pytest.raises(GlsplatError, match="not a glsplat worker"):
             greet(theirs, b"s" * 32, worker=False)
 
 

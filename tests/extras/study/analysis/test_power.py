@@ -97,5 +97,5 @@ def test_no_plan_no_effect_no_runs() -> None:
             Planned(TYPE | METHOD, 12).means(effects)
     plan = Planned(TYPE, 4)
     for wrong in ({"runs": 0}, {"alpha": 0.0}, {"alpha": 1.0}):
-        with pytest.raises(FormatError, match="a run or more"):
+        with pytest.raises(FormatError, match="at least one run"):
             power(plan.draws({}), plan.table, **wrong)  # type: ignore[arg-type]
