@@ -109,7 +109,7 @@ export class PhotoForm {
     if (this.#upload.busy) return;
     const [height, wrong] = this.#height();
     if (!this.#front()) return this.#warn('Choose or take a picture from the front first.', 'photo-front');
-    if (wrong) return this.#warn('Enter the height in metres, 0.5 to 2.8, such as 1.75.', 'photo-height');
+    if (wrong) return this.#warn('Enter the height in metres from 0.5 to 2.8, such as 1.75.', 'photo-height');
     const title = this.#get('photo-name').value.trim() || titleOf(this.#front().name);
     if (!NAME.test(title)) {
       return this.#warn('Enter a name of up to 32 letters and digits, with blanks between them.', 'photo-name');
