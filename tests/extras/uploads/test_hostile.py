@@ -173,7 +173,7 @@ async def test_findings_without_end_are_cut_short(takes):
 
 async def test_an_avatar_that_is_too_big_is_not_taken(takes):
     async with takes(avatar_bytes=10_000) as client:
-        assert "server's own" in (await client.job(PICTURE, "failed"))["error"]
+        assert "error on the server" in (await client.job(PICTURE, "failed"))["error"]
         assert client.kept() == []
 
 
