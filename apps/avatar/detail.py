@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     began = time.perf_counter()
     scene = load_splats(embedded_file(args.scene))
     if scene.levels and not args.force:
-        raise FormatError(f"{args.scene}: has {len(scene.levels)} coarser levels already; --force makes them anew")
+        raise FormatError(f"{args.scene}: has {len(scene.levels)} coarser levels already; --force replaces them")
     total = len(splats_of(scene))
     if counts and counts[0] >= total:
         raise FormatError(f"{args.scene}: has {total} splats; --counts needs fewer, not {counts[0]}")

@@ -92,7 +92,7 @@ def diagnostics(mesh: RiggedMesh, avatar: Avatar | None = None, asked: int = 0, 
     vertices = mesh.posed(Pose.zero(len(mesh.skeleton)))[np.unique(mesh.faces)]
     height = float(np.ptp(vertices[:, 1]))
     if not np.isfinite(vertices).all() or np.ptp(vertices, axis=0).max() < 1e-4:
-        raise FormatError("nobody would see this person: less than a tenth of a millimetre; try --extra-scale")
+        raise FormatError("this person would be invisible: less than a tenth of a millimetre; try --extra-scale")
     why = why_not_driven(mesh.skeleton)
     drives = not why
     if not drives:

@@ -75,8 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="builtin",
         help=f"what makes the avatar: {', '.join(names())} (default %(default)s; docs/photo.md)",
     )
-    parser.add_argument("--check", action="store_true", help="say whether the pictures will do, and make nothing")
-    parser.add_argument("--anyway", action="store_true", help="go on with pictures that the check refuses")
+    parser.add_argument("--check", action="store_true", help="check the pictures and make nothing")
+    parser.add_argument("--anyway", action="store_true", help="use pictures that the check refuses")
     parser.add_argument(
         "--cones", action="store_true", help="make visibility cones, too (minutes; --cull-hidden needs them)"
     )

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=natural,
         help=f"with --as splats: of fitting all parameters of the splats (default {_DEFAULT.steps}); 0: none",
     )
-    parser.add_argument("--anyway", action="store_true", help="go on with frames in which the check found faults")
+    parser.add_argument("--anyway", action="store_true", help="use frames in which the check found faults")
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
     add_notes(parser)
 

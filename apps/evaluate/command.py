@@ -187,7 +187,7 @@ def _protocol(args: argparse.Namespace) -> Protocol:
             motion = words[0]
         else:
             wrong = next(word for word in words if word not in TASKS)
-            raise UsageError(f"--poses: {wrong!r:.40} is no motion and none of {', '.join(TASKS)}")
+            raise UsageError(f"--poses: {wrong!r:.40} is neither a motion nor one of {', '.join(TASKS)}")
     extra = tuple(_words(args.measure, "--measure")) if args.measure else ()
     size = (_QUICK_SIZE if args.quick else Protocol().size) if args.size is None else args.size
     digest = ""

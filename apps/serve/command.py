@@ -42,7 +42,7 @@ HELP = (
     "Serve pictures of an avatar: a page for the browsers of headsets, phones and desktops at /vr (docs/vr.md), and a "
     "WebSocket for them and other clients (docs/protocol.md). "
     "A client may send 240 messages, 1000 frames, 20 control frames and 2 MiB a second, an address make 10 connections "
-    "and requests a second (bursts and the rest: docs/deploying.md, Limits)."
+    "and requests a second (bursts and the rest: docs/security.md)."
 )
 EXAMPLE = "glsplat serve me.glb --port 8000"
 SEE = "--write-config"

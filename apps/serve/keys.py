@@ -66,7 +66,7 @@ def keys_of(args: ServeOptions) -> Keys:
     kept = kept_certificate(folder, names)
     if kept.remade:
         log = logging.getLogger("glsplat.serve")
-        log.warning("a new certificate is made (%s): browsers ask once more", kept.remade)
+        log.warning("made a new certificate (%s): browsers will ask to accept it", kept.remade)
     if token is None and accounts is None and not is_loopback(args.host) and not args.insecure:
         token, token_file = kept_token(folder), folder / TOKEN
     return Keys((kept.path, kept.path), token, token_file, kept.fingerprint, accounts)

@@ -165,7 +165,7 @@ class ServeOptions:
     up: str = _option("y", f"the scene file's axis that points up: {', '.join(UPS)}", _one_of(UPS))
     strict: bool = _option(False, "refuse files with NaN or infinity")
     light: str | None = _option(
-        None, f"light the avatars that know their surface (docs/light.md): {', '.join(PRESETS)}, or a JSON file; none: "
+        None, f"light avatars with surface data (docs/light.md): {', '.join(PRESETS)}, or a JSON file; none: "
         "as they were photographed (default: as a scene file says, else none)", light_name, sample="day",
     )  # fmt: skip
     max_size: int = _option(2048, "pixels of the largest side that a request may have", whole(1, 8192))
@@ -186,7 +186,7 @@ class ServeOptions:
     )
     exact: bool = _option(False, "draw every splat of the finest level, to its end")
     max_cost: float | None = _option(
-        None, "pixels that a picture may cover, splat by splat and eye by eye; dearer ones are refused, and clients "
+        None, "pixels that a picture may cover, splat by splat and eye by eye; costlier ones are refused, and clients "
         "that repeat them are dropped (default 5e8, with exact 1e9)", Number(1, unit="pixels"), sample=5e8,
     )  # fmt: skip
     max_time: float = _option(
@@ -397,7 +397,7 @@ def read_options(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: this is no TOML ({' '.join(str(error).split())})") from None
+        raise UsageError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
     read = {}
     for name, value in found.items():
         if isinstance(value, dict):

@@ -119,7 +119,7 @@ def open_page(endpoint: Endpoint) -> threading.Thread:
         except (webbrowser.Error, OSError):
             opened = False
         if not opened:
-            log.warning("open: no browser could be started here; the page is %s", address)
+            log.warning("open: no browser could be started; open %s", address)
 
     thread = threading.Thread(target=work, name="open", daemon=True)
     thread.start()

@@ -56,7 +56,7 @@ def study_of(args: ServeOptions) -> ServedStudy:
     if args.participant is None:
         raise UsageError("a study needs its participant's number (participant)")
     if args.scene is not None or args.avatar or args.room or args.allow_upload is not None:
-        raise UsageError("a study says itself what is served: leave out SCENE, --avatar, --room and --allow-upload")
+        raise UsageError("a study defines what is served: leave out SCENE, --avatar, --room and --allow-upload")
     study = read_study(args.study)
     data = data_of(args.study, args.study_data)
     plan = checked_plan(data, study)

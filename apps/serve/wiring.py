@@ -129,6 +129,6 @@ def _agreed(name: str, config: UploadConfig, consent: ConsentPolicy | None) -> b
         try:
             consent.check(name, time.time())
         except GlsplatError as error:
-            log.warning("%s: left out: %s", path, error)
+            log.warning("%s: skipped: %s", path, error)
             return False
     return True

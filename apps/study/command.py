@@ -196,7 +196,7 @@ def delete(args: argparse.Namespace) -> int:
     study, _ = read_study(args.study), read_plan(data_of(args.study, args.data))
     number = _number(study, args.participant)
     if not args.yes:
-        raise UsageError(f"say --yes to delete all data of {label(number)} for good")
+        raise UsageError(f"give --yes to delete all data of {label(number)} for good")
     count = remove(data_of(args.study, args.data), number)
     where = data_of(args.study, args.data) / label(number)
     print(f"{where}: deleted ({count} files); tables that were exported before still have them")

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if not counts:
         raise UsageError("--participants is needed: how many take part")
     if args.pilot and (args.effect or factors):
-        raise UsageError("--pilot says factors and effects itself; leave out --study, --within, --between and --effect")
+        raise UsageError("--pilot defines factors and effects; leave out --study, --within, --between and --effect")
     if not args.pilot and not factors:
         raise UsageError("name the factors by --within and --between, or give --study or --pilot")
     effects = dict(_effect(text) for text in args.effect)

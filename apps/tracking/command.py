@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--height", type=float, help="the user's stature in metres")
     command.add_argument("--floor", type=float, help="y of the floor in the tracking space (default 0)")
     command.add_argument(
-        "--find-size", action="store_true", help="by what a session finds by itself: nobody has to stand still"
+        "--find-size", action="store_true", help="measure the size as a session does: nobody has to stand still"
     )
     add_skeleton(command)
     command.set_defaults(work=run_calibrate)
@@ -154,7 +154,7 @@ def run_calibrate(args: argparse.Namespace) -> int:
     if args.find_size:
         calibration = found_size(list(replay(args.recording)), skeleton, args.floor or 0.0)
         if calibration.eye_height is None:
-            raise PoseError(f"{args.recording}: nobody is seen to stand for a second; give --height in metres")
+            raise PoseError(f"{args.recording}: nobody stands still for a second in it; give --height in metres")
     elif args.recording:
         calibration = calibrate(list(replay(args.recording)), skeleton, args.floor, args.height)
     elif args.height is not None:

@@ -59,7 +59,7 @@ def pattern_of(text: str, option: str) -> re.Pattern[str]:
     try:
         return re.compile(text)
     except re.error as error:
-        raise UsageError(f"{option} is no regular expression ({error})") from None
+        raise UsageError(f"{option} is not a regular expression ({error})") from None
 
 
 def samples_of(name: str | None) -> list[Sample]:
@@ -81,7 +81,7 @@ def tracker_of(args: argparse.Namespace, skeleton: Skeleton) -> Tracker:
         calibration = Calibration.of_height(skeleton, args.height)
     if args.find_size:
         if args.calibration or args.height is not None:
-            raise UsageError("--find-size finds what --calibration or --height tells; give one of them")
+            raise UsageError("--find-size measures what --calibration or --height gives; use one of them")
         calibration = Calibration(automatic=True)
     settings = {"prediction": args.predict_ms / 1000}
     config = TrackerConfig.raw(**settings) if args.no_filter else TrackerConfig(**settings)

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommands and their options."""
     commands = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     add = commands.add_parser("add", help="add an account and print its token, once")
-    add.add_argument("name", metavar="NAME", help="1 to 32 letters, digits or -_~, the first no sign")
+    add.add_argument("name", metavar="NAME", help="1 to 32 letters, digits or -_~; begins with a letter or digit")
     add.add_argument("--avatars", metavar="A,B", default=ANY, help="avatars it may drive (default *, all)")
     add.add_argument("--rooms", metavar="R,S", default=ANY, help="rooms it may enter (default *, all)")
     listed = commands.add_parser("list", help="list the accounts and their rights")

@@ -252,7 +252,7 @@ def _inside(name: str, folder: Path) -> Path:
         if not file.exists():
             raise FormatError(f"{name!r:.60}: no such file")
     except (OSError, ValueError, RuntimeError):  # too long, no text, a circle of links
-        raise FormatError(f"{name!r:.60} is no path of a file") from None
+        raise FormatError(f"{name!r:.60} is not the path of a file") from None
     return file
 
 

@@ -130,7 +130,7 @@ class Solved:
         try:
             return similarity((0.0, self.floor, 0.0), scale=self.scale)
         except GlsplatError as error:
-            raise PoseError(f"nobody can stand at this scale and floor: {error}") from None
+            raise PoseError(f"a person cannot be placed at this scale and floor: {error}") from None
 
     def seen(self, camera: Camera) -> Camera:
         """Return a camera of the user's space in the avatar's."""

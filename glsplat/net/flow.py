@@ -81,7 +81,7 @@ class FlowControl:
     def request(self, frame_id: int, now: float, subject: object = None) -> None:
         """Note that a request is sent. ``about`` returns its ``subject``."""
         if frame_id <= self.newest:
-            raise ProtocolError(f"frame_id has to grow: {frame_id} does not follow {self.newest}")
+            raise ProtocolError(f"frame_id must grow: {frame_id} does not follow {self.newest}")
         self.newest = frame_id
         self._sent[frame_id] = now
         if subject is not None:

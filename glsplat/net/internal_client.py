@@ -39,7 +39,7 @@ class InternalClient:
             session = Session(Decoder(self._wire, avatar.skeleton, avatar.parts), self._config, self._clock())
             taken = session.receive(json.dumps({"v": 1, "frame_id": 1, **request}), self._clock())
             if not isinstance(taken, Request):
-                raise GlsplatError("the server's own request is not understood")
+                raise GlsplatError("the server's own request was rejected")
             client = ClientStream(0, session, address="the server's own pages", shown=avatar, notice=notice)
             drawer.add(client)
             client.received(taken, self._clock())
@@ -65,7 +65,7 @@ class InternalClient:
         except GlsplatError:
             return None
         except Exception:  # the server goes on with the configured size
-            log.exception("no size of pictures could be found")
+            log.exception("no picture size fits this client")
             return None
 
 

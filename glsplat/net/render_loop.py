@@ -375,7 +375,7 @@ class RenderLoop:
         """Draw a picture and start its encoding. Raises the worker's errors."""
         client, start = taken.client, self.clock()
         if (client.address, client) not in self._turns:
-            raise BudgetError("nobody waits for the picture any more", "abandoned")
+            raise BudgetError("the picture is no longer wanted", "abandoned")
         video = client.video if job.options.video is not None else None
         rendered = await self.worker.draw(job, pixels=video is not None or bool(client.observers))
         now = self.clock()
@@ -391,7 +391,7 @@ class RenderLoop:
         self._adaptive_quality.drawn(client.number, now - start, rendered.coarsest, now, taken.smaller)
         client.picture_took(now - start)
         if encoded is None or len(rendered.images) != len(taken.request.eyes):
-            raise RuntimeError(f"{len(taken.request.eyes)} pictures were asked for, {len(rendered.images)} drawn")
+            raise RuntimeError(f"{len(taken.request.eyes)} pictures were requested, {len(rendered.images)} drawn")
         if client.member is not None:
             client.member.posed(rendered.posed)
         self.failures = 0
@@ -414,7 +414,7 @@ class RenderLoop:
     def _without_others(self, taken: Taken, error: Exception) -> Taken:
         """Return the picture without the room's other people, and suspect them for a while."""
         number, client = taken.request.frame_id, taken.client
-        log.warning("frame %s of client %d is drawn without the others: %s", number, client.number, error)
+        log.warning("frame %s of client %d is drawn alone, without other people: %s", number, client.number, error)
         self._faults.suspect_others(client.address, self.clock(), slow=isinstance(error, BudgetError))
         return replace(taken, alone=True)
 
@@ -458,7 +458,7 @@ class RenderLoop:
     def _over_budget(self, client: ClientStream, request: Request, error: BudgetError) -> str:
         """Return why a picture over its budget ends the connection; "" if it does not."""
         if error.code == "too_slow":
-            log.warning("frame %s of client %d took too long; it is abandoned", request.frame_id, client.number)
+            log.warning("frame %s of client %d took too long and was dropped", request.frame_id, client.number)
             return "pictures that take too long" if self._faults.again(client.address, self.clock()) else ""
         if error.code == "too_costly":
             return "too many pictures that cost too much" if client.session.overspent(self.clock()) else ""
@@ -485,7 +485,7 @@ class RenderLoop:
                 break
             except GlsplatError as error:
                 self.attempts += 1
-                log.warning("%s cannot be started anew: %s", self.worker.name, error)
+                log.warning("%s cannot be restarted: %s", self.worker.name, error)
                 if self._owner is not None:
                     self._owner.failed(self, error)
                 elif self.attempts >= len(_REVIVE_PAUSES_S):

@@ -88,7 +88,7 @@ class Reply:
         if self.video:
             return [partial(np.ascontiguousarray, eye[..., :3]) for eye in self.video]
         if "video" in self.info:
-            raise ProtocolError(f"{self!r}: a picture of a video that goes on from one that did not come", "lost")
+            raise ProtocolError(f"{self!r}: a video frame whose reference frame did not arrive", "lost")
         eyes = sorted(self.pictures)
         boxes = dict(zip(eyes, self.info.get("crop") or (), strict=False))
         size = self.info.get("size")
@@ -144,7 +144,7 @@ def parse_reply(data: bytes) -> Reply:
         info = msgspec.json.decode(_take(data, offset + _LENGTH.size, length))
         offset += _LENGTH.size + length
         if not isinstance(info, dict):
-            raise ProtocolError("expected a JSON object behind the pictures", "bad_reply")
+            raise ProtocolError("expected a JSON object after the pictures", "bad_reply")
     except (struct.error, msgspec.MsgspecError, UnicodeError, RecursionError):
         raise ProtocolError(f"expected a whole reply, found {len(data)} bytes that end early", "bad_reply") from None
     bodies = tuple(unpack_bodies(data[offset:])) if count == 0 and info.get("want") == "pose" else ()

@@ -363,7 +363,7 @@ class Server:
             for feature in self.features:
                 feature.client_opened(client, requested)
             if requested.room is not None and client.member is None:
-                raise RoomError("there is no such room here", 404)
+                raise RoomError("no such room on this server", 404)
         except BaseException:  # a refusal, or a fault of a feature
             self._close_client(client, goodbye=False)
             raise

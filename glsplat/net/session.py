@@ -186,7 +186,7 @@ class Session:
         if not self._rate.take(now):
             return self._limited(now)
         if why := self._refusal():
-            return Close(error_text("not_allowed", why), POLICY_VIOLATION, "not allowed any more")
+            return Close(error_text("not_allowed", why), POLICY_VIOLATION, "no longer allowed")
         try:
             message = self._decoder.decode(data)
             if isinstance(message, Ack):

@@ -50,7 +50,7 @@ class CheckedSolver:
                 solution = checked(solution)
         except Exception as error:
             if not self.error:  # once, not at every sample
-                log.warning("%s failed; the last pose is held", type(self.solver).__name__, exc_info=True)
+                log.warning("%s failed; holding the last pose", type(self.solver).__name__, exc_info=True)
             text = str(error) if isinstance(error, PoseError) else f"{type(error).__name__}: {error}"
             self.error = " ".join(text.split())[:MAX_ERROR_CHARS]
             return None
@@ -87,7 +87,7 @@ def checked(solution: Any) -> Solution:
             _expected_error(solution.expected_error),
         )
     except (TypeError, ValueError, OverflowError) as error:  # not numbers, not sequences
-        raise PoseError(f"a solution of another form than glsplat.tracking.Solution ({error})") from None
+        raise PoseError(f"expected a glsplat.tracking.Solution ({error})") from None
 
 
 def repeated(last: Solution) -> Solution:
@@ -122,7 +122,7 @@ def _rotation(joint: int, q: Any) -> Quat:
     w, x, y, z = q
     n = w * w + x * x + y * y + z * z
     if not 1e-8 < n < 1e8:  # NaN fails this too
-        raise PoseError(f"a solution's rotation of joint {joint} is no quaternion: {q!s:.80}")
+        raise PoseError(f"a solution's rotation of joint {joint} is not a quaternion: {q!s:.80}")
     k = 1.0 if -UNIT_TOLERANCE < n - 1 < UNIT_TOLERANCE else 1 / sqrt(n)
     turn = (float(w) * k, float(x) * k, float(y) * k, float(z) * k)
     return turn if joint == PELVIS else clamp_joint(joint, turn)

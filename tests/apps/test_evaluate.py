@@ -115,7 +115,7 @@ def test_mistakes_are_one_line(plugged, alone, capsys) -> None:  # noqa: F811
         ("--methods x=/nowhere", "no such folder"),
         ("--methods photo=/", '"photo" is a method of its own'),
         ("--only zoe", "--only: no participant 'zoe'; there are ann, bob"),
-        ("--poses standing,flying", "--poses: 'flying' is no motion and none of"),
+        ("--poses standing,flying", "--poses: 'flying' is neither a motion nor one of"),
         ("--views above", "views are some of front"),
         ("--size 3", "64 to 2048"),
         ("--jobs 0", "--jobs: needs a whole number from 1 to 256"),

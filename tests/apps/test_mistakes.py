@@ -105,7 +105,7 @@ MISTAKES = {
         avatar reduce ../in/limb.glb --splats 99 -o a.glb : has 600 splats; --splats needs 100 or more and fewer than
         avatar reduce ../in/cloud.ply --splats 150 -o a.glb : has no skeleton; reduce is for avatars
         avatar reduce ../in/limb.glb --splats few -o a.glb : a whole number of at least 0 is needed, not 'few'
-        avatar levels ../in/levels.glb -o c.glb : has 3 coarser levels already; --force makes them anew
+        avatar levels ../in/levels.glb -o c.glb : has 3 coarser levels already; --force replaces them
         avatar levels ../in/cloud.ply -o c.glb --counts 900 : --counts needs fewer, not 900
         avatar levels ../in/cloud.ply -o c.glb --counts 10 20 : --counts needs falling numbers above 0, not 10 20
         avatar levels ../in/cloud.ply -o c.glb --psnr 0 : --psnr needs decibels

@@ -132,8 +132,8 @@ def test_what_the_program_reads_the_page_reads_and_what_it_refuses_too(page, tmp
         with pytest.raises(FormatError, match="line 3"):
             list(replay(path))
         said = parsed(page, path.read_text(encoding="utf-8"))
-        assert isinstance(said, str) and said.startswith("The recording's line 3: ") and "\n" not in said, text
-    assert parsed(page, "") == parsed(page, "\n\n") == "The recording holds no sample with a time."
+        assert isinstance(said, str) and said.startswith("Line 3 of the recording: ") and "\n" not in said, text
+    assert parsed(page, "") == parsed(page, "\n\n") == "The recording has no sample with a time."
     times = "\n".join(line(t=t) for t in (5.0, 5.1, 5.05, 5.1, 5.2))  # what does not grow is passed over
     call = "(text) => { const r = new Recording(parseRecording(text)); return [r.frames, r.at(0.15).t]; }"
     assert page.evaluate(call, times) == [3, pytest.approx(100)]
@@ -205,7 +205,7 @@ def standing(rng, seconds=2.2, eyes=1.6, span=None, wobble=0.004):
 def test_calibration_says_why_it_failed(page, rng):
     for samples, word in (
         (standing(rng, wobble=0.2), "moved"),
-        (standing(rng)[:9], "hardly tracked"),
+        (standing(rng)[:9], "lost tracking"),
         (standing(rng, eyes=0.4), "0.40 m"),
         (standing(rng, eyes=2.7), "2.70 m"),
     ):
@@ -227,4 +227,4 @@ def test_a_kept_calibration_is_checked(page):
       return [...out, none.load(), none.save({}), none.add(null, 1).error];
     }""")
     assert found[0] is None and found[1] == {"height": 1.7, "eyes": 1.59, "span": None, "floor": 0.01}
-    assert found[2:8] == [None] * 6 and found[8] is False and "begin" in found[9]
+    assert found[2:8] == [None] * 6 and found[8] is False and "start one" in found[9]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from pathlib import Path
 from typing import Any
@@ -110,15 +109,13 @@ def test_the_core_s_page_works_without_the_files_of_extras(
     assert page.stats()["drawn"]["by"] == "server"
 
 
-DOC = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
+CLIENT = Path(__file__).resolve().parents[2] / "docs" / "examples" / "client.html"
 
 
 def test_the_client_in_a_page_shows_both_eyes(open_page: OpenPage, serve: Any, tmp_path: Path) -> None:
-    block = re.search(r"```html\n(.*?)```", DOC.read_text(encoding="utf-8"), re.S)
-    assert block is not None
     with hosted(tmp_path) as address:
         served = serve(StoredPairs(), ServerConfig(port=0, access=Access(origins=(address[:-1],))))
-        program = block[1].replace("ws://localhost:8000/ws", f"ws://localhost:{served.port}/ws")
+        program = CLIENT.read_text("utf-8").replace("ws://localhost:8000/ws", f"ws://localhost:{served.port}/ws")
         (tmp_path / "index.html").write_text(program)
         page = open_page(address, xr=False, allow=["favicon"])
         page.until("frame > 3 && ack > 2 && left.naturalWidth === 512 && right.naturalWidth === 512")

@@ -128,7 +128,7 @@ def test_what_is_wrong_is_said_and_it_is_made_anyway(open_page: OpenPage, taking
     send(page, picture("doubt known"))
     page.until("!document.querySelector('#photo-anyway').hidden")
     found = page.page.locator("#photo-findings li").all_text_contents()
-    assert found and said(page) == "The picture may not do:" and page.page.is_visible("#photo-again")
+    assert found and said(page) == "The picture may not be suitable:" and page.page.is_visible("#photo-again")
     queue = served.server.feature(Uploads)._queue
     other = queue.book("elsewhere")
     page.page.click("#photo-anyway")
@@ -148,7 +148,7 @@ def test_a_failure_is_said_another_picture_chosen_and_cancelled(open_page: OpenP
     assert "cannot read me.heic" in page.page.text_content("#photo-warning")
     send(page, picture("refuse"))
     page.until("!document.querySelector('#photo-again').hidden")
-    assert said(page) == "It did not work: the JPEG file is damaged; copy it again"
+    assert said(page) == "It failed: the JPEG file is damaged; copy it again"
     assert page.page.is_hidden("#photo-anyway")
     page.page.click("#photo-again")
     assert page.page.is_visible("#photo-form") and page.js("document.activeElement.id") == "photo-front"
@@ -176,7 +176,7 @@ def test_what_is_missing_is_asked_for_and_its_owner_names_it(open_page: OpenPage
     asked("photo-height", "metres from 0.5 to 2.8")
     page.page.fill("#photo-height", "")
     page.page.uncheck("#photo-consent")
-    asked("photo-consent", "Say first")
+    asked("photo-consent", "First confirm")
     page.page.check("#photo-consent")
     page.page.fill("#photo-name", "<b>no</b>")
     asked("photo-name", "up to 32 letters")

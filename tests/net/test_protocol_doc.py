@@ -17,7 +17,9 @@ from glsplat.skinning.smplx import JOINT_NAMES, PARENTS, POSE_KEYS
 from glsplat.tracking.sample import HAND_JOINTS
 from tests.net.wire import HANG
 
-TEXT = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+TEXT = (DOCS / "protocol.md").read_text(encoding="utf-8")
+EXTENSIONS = (DOCS / "protocol-extensions.md").read_text(encoding="utf-8")
 
 
 def test_the_request_of_the_page_is_a_request():
@@ -68,7 +70,7 @@ async def test_what_a_server_offers_has_the_keys_of_the_page(serve):
 
 
 def test_the_object_of_a_job_is_that_of_the_page():
-    block = json.loads(re.search(r"```json\n(\{\"name\": \"photo-.*?)```", TEXT, re.S).group(1))
+    block = json.loads(re.search(r"```json\n(\{\"name\": \"photo-.*?)```", EXTENSIONS, re.S).group(1))
     assert set(block) == set(Job("photo-k3v9xm2p", "").status(0))
 
 

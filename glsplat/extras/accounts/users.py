@@ -199,11 +199,11 @@ class Accounts:
             self._load()
         except GlsplatError as error:
             if self._failed is None or self._failed[1] != str(error):
-                log.error("%s; the accounts that were read before stay until it can be read", error)
+                log.error("%s; the accounts read before stay valid until it can be read", error)
             self._failed = stamp, str(error)
             return
         if self._failed is not None:
-            log.warning("%s: is read again", self._path)
+            log.warning("%s: can be read again", self._path)
         self._failed = None
 
     def _load(self) -> None:

@@ -102,7 +102,7 @@ def read_record(record: Any) -> Consent:
     Unknown fields are refused, as they may restrict the consent.
     """
     if not isinstance(record, dict):
-        raise FormatError("the consent is no record, which is a JSON object")
+        raise FormatError("the consent is not a record, which is a JSON object")
     if strange := sorted(set(record) - _KEYS):
         raise FormatError(f"the consent has {strange[0][:40]!r}, which this version does not know")
     if missing := sorted(_KEYS - _OPTIONAL - set(record)):

@@ -55,7 +55,7 @@ class VideoReader:
         try:
             number, key = int(said["number"]), bool(said["key"])
             if not (key or number == self._next):
-                raise ValueError("it goes on from what did not come")
+                raise ValueError("its reference frame did not arrive")
             name = next(name for name, begins in _NAMES.items() if str(said["codec"]).startswith(begins))
             if self._context is None or (key and name != self._name):
                 self._context, self._name = cast("VideoCodecContext", av.CodecContext.create(name, "r")), name

@@ -72,7 +72,7 @@ def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
     """
     header = read_header(file)
     if not header.order:
-        raise FormatError("a compressed PLY is binary, but this one says that it is ASCII")
+        raise FormatError("a compressed PLY is binary, but the header of this one says ASCII")
     tables: dict[str, _Table] = {}
     end = header.start
     for element in header.elements:

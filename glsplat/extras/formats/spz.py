@@ -201,7 +201,7 @@ def _zstd() -> ModuleType:
 def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:
     """Return the checked header and its flags."""
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise FormatError("no SPZ file: it does not start with a header of 16 bytes that begins with NGSP")
+        raise FormatError("not an SPZ file: it does not start with a header of 16 bytes that begins with NGSP")
     _, version, count, degree, bits, flags, _ = _HEADER.unpack(data)
     if not 1 <= version <= newest:
         raise FormatError(f"needs SPZ version 1 to 4 (3 within gzip), found {version}")

@@ -88,7 +88,7 @@ def _normalised(name: str) -> str:
         return str(address)
     if not holds(plain):
         expected = "expected letters, digits, hyphens and dots (xn--... for others), or an address"
-        raise GlsplatError(f"{name!r} is no name that a certificate can hold: {expected}")
+        raise GlsplatError(f"{name!r} is not a name that a certificate can hold: {expected}")
     return plain
 
 

@@ -55,7 +55,7 @@ class History:
                 failing = False
             except Exception:  # record further values after a gap
                 if not failing:
-                    log.exception("the numbers of the status page cannot be taken just now")
+                    log.exception("the figures of the status page cannot be measured")
                 failing = True
             await asyncio.sleep(STEP_S)
 

@@ -71,9 +71,9 @@ def upright(rig: RigMap, positions: ArrayLike) -> F64:
         raise PoseError("the rig has no size: hips, knees and shoulders coincide")
     thighs = [float(np.linalg.norm(at[f"{side}_hip"] - at[f"{side}_knee"])) for side in _SIDES]
     if float(np.linalg.norm(legs)) < _ASTRIDE * np.mean(thighs):  # as Bandai-Namco's: what is left of them is rounding
-        raise PoseError("the legs point apart: this is no person who stands")
+        raise PoseError("the legs point apart: this is not a standing person")
     if float(trunk @ legs) / size < _STANDING:
-        raise PoseError("the trunk is not above the legs: this is no person who stands")
+        raise PoseError("the trunk is not above the legs: this is not a standing person")
     up = trunk / np.linalg.norm(trunk) + legs / np.linalg.norm(legs)
     y = _axis(up)
     across = at["left_hip"] - at["right_hip"] + at["left_shoulder"] - at["right_shoulder"]
@@ -84,7 +84,7 @@ def upright(rig: RigMap, positions: ArrayLike) -> F64:
     else:
         x = _axis(across - y * (across @ y))
     if abs(float(x @ y)) > 1e-6:
-        raise PoseError("left and right hip are above each other: this is no person who stands")
+        raise PoseError("left and right hip are above each other: this is not a standing person")
     return np.stack([x, y, np.cross(x, y)])
 
 

@@ -118,7 +118,7 @@ class Person:
             try:
                 self._placed = size, (place, similarity(*place))
             except GlsplatError as error:
-                raise PoseError(f"nobody can stand at this scale and floor: {error}") from None
+                raise PoseError(f"a person cannot be placed at this scale and floor: {error}") from None
         return self._placed[1]
 
     def extrapolated(self, now: float) -> tuple[Pose, float] | None:

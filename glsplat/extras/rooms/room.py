@@ -81,7 +81,7 @@ class Room:
             self._remove_gone(now)
             before = self._guest_by_token(resume, name)
             if before is None and name in self._guests:
-                raise RoomError(f'there is somebody called "{name}" in this room; choose another name', 409)
+                raise RoomError(f'there is already somebody named "{name}" in this room; choose another name', 409)
             if before is None and len(self._guests) >= self.seats:
                 raise RoomError(f"the room is full ({self.seats} people); try again later", 503)
             if before is None:

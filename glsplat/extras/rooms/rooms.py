@@ -37,7 +37,7 @@ class Rooms(Feature):
             return
         room = self._rooms.get(asked.room)
         if room is None:
-            raise RoomError("there is no such room here", 404)
+            raise RoomError("no such room on this server", 404)
         shown = client.shown
         if shown.skeleton is None:
             raise RoomError("a room needs people: name an avatar with joints", 400)

@@ -81,7 +81,7 @@ def write_plan(folder: Path, plan: Plan) -> Path:
         os.link(partial, path)  # unlike a renaming, this fails where the name is taken
     except FileExistsError:
         raise FormatError(
-            f"{path}: there is a plan already, and it stays; for another study choose another --data"
+            f"{path}: there is already a plan, which is not overwritten; for another study choose another --data"
         ) from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be written ({error.strerror or error})") from None
@@ -94,7 +94,7 @@ def read_plan(folder: Path) -> Plan:
     """Return the plan in a data folder. Raises FormatError naming it."""
     path = folder / PLAN
     if not path.exists():
-        raise FormatError(f"{path}: there is no plan yet; make it by glsplat study plan")
+        raise FormatError(f"{path}: there is no plan yet; make one with glsplat study plan")
     with open_regular(path) as (file, size):
         if size > MAX_PLAN_BYTES:
             raise FormatError(f"{path}: expected a plan of at most {MAX_PLAN_BYTES >> 20} MiB, not {size >> 20}")
@@ -109,7 +109,7 @@ def read_plan(folder: Path) -> Plan:
         groups = tuple({str(k): str(v) for k, v in people[one]["group"].items()} for one in numbers)
         return Plan(str(fields["digest"]), str(fields["made"]), orders, groups, dict(fields["study"]))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FormatError(f"{path}: this is no plan ({type(error).__name__}: {error})") from None
+        raise FormatError(f"{path}: not a plan ({type(error).__name__}: {error})") from None
 
 
 def checked_plan(folder: Path, study: Study) -> Plan:
@@ -118,8 +118,8 @@ def checked_plan(folder: Path, study: Study) -> Plan:
     if plan.digest != study.digest:
         where = _difference(dict(plan.study), study.to_json(), "") or "its contents"
         raise FormatError(
-            f"{study.path}: {where} is not what it was when the plan was made ({folder / PLAN}, {plan.made}): "
-            "put it back, or begin a new study with another --data"
+            f"{study.path}: {where} has changed since the plan was made ({folder / PLAN}, {plan.made}): "
+            "restore it, or start a new study with another --data"
         )
     return plan
 

@@ -226,9 +226,9 @@ class Session:
         if now is None:
             raise ProtocolError(f"the session has ended ({self.state.ended})", "ended")
         if now.name != step or now.kind != kind:
-            raise ProtocolError("this is not the step in hand; look at the state again", "wrong_step")
+            raise ProtocolError("this is not the current step; fetch the state again", "wrong_step")
         if self.state.paused:
-            raise ProtocolError("the experimenter has stopped the time; go on when it goes on", "paused")
+            raise ProtocolError("the experimenter has paused the session; wait until it continues", "paused")
         return None
 
     def _phase(self, t: float) -> Event:

@@ -64,8 +64,8 @@ class Log:
         for line in rest:
             if _is_whole(line):
                 raise FormatError(
-                    f"{self.path}: line {self.count + 1}: it does not follow from the lines before: the file was "
-                    "changed, or the disk lost a part; take a copy back"
+                    f"{self.path}: line {self.count + 1}: does not follow from the lines before: the file was "
+                    "changed or damaged; restore a copy"
                 )
             torn += len(line)
         return torn
@@ -155,7 +155,7 @@ def remove(data: Path, participant: int) -> int:
     """Delete a participant's data and return the number of files. Raises FormatError while a server writes there."""
     folder = data / label(participant)
     if not folder.is_dir():
-        raise FormatError(f"{folder}: there is nothing of this participant")
+        raise FormatError(f"{folder}: no data of this participant")
     with locked(folder / _LOCK):
         files = sum(path.is_file() for path in folder.rglob("*")) - 1  # the lock
         gone = folder.with_name(
@@ -165,7 +165,7 @@ def remove(data: Path, participant: int) -> int:
             os.replace(folder, gone)
             shutil.rmtree(gone)
         except OSError as error:
-            raise FormatError(f"{folder}: cannot be deleted whole ({error.strerror or error})") from None
+            raise FormatError(f"{folder}: cannot be deleted completely ({error.strerror or error})") from None
         _sync_folder(data)
     return files
 

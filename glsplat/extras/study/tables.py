@@ -128,7 +128,7 @@ def read_toml(path: str | Path) -> Table:
     try:
         return Table(str(path), tomllib.loads(data.decode()))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise FormatError(f"{path}: this is no TOML ({' '.join(str(error).split())})") from None
+        raise FormatError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
 
 
 def _shown(value: Any) -> str:

@@ -74,7 +74,7 @@ class JobQueue:
     def go_on(self, job: Job) -> None:
         """Resume a refused job. Raises RefusedError if its process is gone or the queue is full."""
         if self._held is None or self._held[0] is not job:
-            raise RefusedError(409, "it cannot go on where it was; send the pictures again")
+            raise RefusedError(409, "it cannot be continued; send the pictures again")
         self._check_space()
         if self._held_timer is not None:
             self._held_timer.cancel()
@@ -180,13 +180,13 @@ class JobQueue:
             job.fail(str(error))
         except MakerFaultError as error:
             log.warning("an avatar could not be made: %s", error)
-            job.fail("it could not be made, for a reason of the server's own; another picture may do")
+            job.fail("an error on the server; another picture may work")
         except asyncio.CancelledError:
             maker.stop()
             raise
         except Exception:
-            log.exception("an avatar could not be kept")
-            job.fail("it could not be kept, for a reason of the server's own")
+            log.exception("an avatar could not be saved")
+            job.fail("the server could not save it")
         finally:
             self._maker = None
 

@@ -52,7 +52,7 @@ class UploadStore:
                     raise FormatError(f"{path}: its name cannot stand in an address")
                 found[path.stem] = _avatar(load_content(path), str(path))
             except GlsplatError as error:
-                log.warning("left out: %s", error)
+                log.warning("skipped: %s", error)
         return found
 
     def check(self, further: int = 0) -> None:
@@ -86,7 +86,7 @@ class UploadStore:
             replace_file(self._path(name), [data], private=True)
         except FormatError as error:
             log.error("%s", error)
-            raise GlsplatError("the avatar could not be kept: this server's disk refuses it") from None
+            raise GlsplatError("the avatar could not be saved: the server cannot write to its disk") from None
         return avatar
 
     def remove(self, name: str) -> bool:

@@ -135,7 +135,7 @@ class RayLauncher:
 
     def _end(self, seconds: float) -> None:
         if self._pending is not None:  # an actor without a gateway ends
-            _settle(self._pending, ContextError("the gateway does not need the actor any more"))
+            _settle(self._pending, ContextError("the gateway no longer needs the actor"))
         with self._starting:
             connection, self._connection = self._connection, None
             actor, self._actor = self._actor, None

@@ -103,7 +103,7 @@ class WorkerPool:
             await self.stop()
             raise errors[0]
         for error in errors:
-            log.warning("a worker could not be started: %s", error)
+            log.warning("a worker failed to start: %s", error)
 
     async def ended(self) -> None:
         """Wait until no worker is alive and none can be started; then raise ContextError."""
@@ -168,7 +168,7 @@ class WorkerPool:
                 render_loop.renew()
             while not render_loop.living:
                 await asyncio.sleep(0.05)
-            log.info("%s is started anew", render_loop.worker.name)
+            log.info("%s was restarted", render_loop.worker.name)
 
     # ----------------------------------------------------------------------------------------- calls of render loops
 

@@ -280,7 +280,7 @@ class Container:
         try:
             target = (folder / name).resolve()
         except (OSError, ValueError, RuntimeError):
-            raise FormatError(f"the {what} {name[:60]!r} is no path of a file") from None
+            raise FormatError(f"the {what} {name[:60]!r} is not the path of a file") from None
         # also catches absolute paths and symbolic links that lead out
         if "\\" in name or ":" in name or not target.is_relative_to(folder):
             raise FormatError(f"the {what} {name[:60]!r} lies outside the file's own folder; put it beside the file")

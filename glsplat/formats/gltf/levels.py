@@ -196,7 +196,7 @@ class _Reading:
                 with np.errstate(all="ignore"):
                     placed = np.linalg.solve(self._shown.matrix, instance.matrix).astype(np.float64)
             except np.linalg.LinAlgError:
-                raise FormatError("the finest stands nowhere (a scale of zero?)") from None
+                raise FormatError("the finest has no valid place (a scale of zero?)") from None
             return transformed(splats, placed)
         same = instance.node.skin == self._shown.node.skin
         if not same and not read_skeleton(self._container, instance, self._graph).same(scene.skeleton):

@@ -61,7 +61,7 @@ class PictureBudget:
     def check(self) -> None:
         """Raise BudgetError (abandoned, too_slow) unless the picture is to be continued."""
         if self._abandoned():
-            raise BudgetError("nobody waits for the picture any more", "abandoned")
+            raise BudgetError("the picture is no longer wanted", "abandoned")
         if self._clock() - self._start > self._seconds:
             raise BudgetError(
                 f"the picture took more than {self._seconds:g} s; ask for a smaller size or look from further away",

@@ -123,7 +123,7 @@ class RendererBackend:
                 depth = depth_grids(renderer, one.views(request))
                 timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
-                raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture is not to be trusted")
+                raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture may be wrong")
         except (PoseError, BudgetError):  # nothing was drawn, or the next picture overwrites it
             raise
         except Exception:
@@ -155,7 +155,7 @@ class RendererBackend:
         red, green, blue, alpha = (byte / 255 for byte in expected)
         self._context.scratch.clear(red, green, blue, alpha)
         if self._context.scratch.read(components=4) != expected:
-            raise ContextLostError(f"{self._context.driver} does nothing any more") from None
+            raise ContextLostError(f"{self._context.driver} does not respond") from None
 
     def close(self) -> None:
         """Release the renderer and its context."""

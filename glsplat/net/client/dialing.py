@@ -73,18 +73,18 @@ async def not_connected(url: str, error: Exception, seconds: float, offered: Seq
     if isinstance(error, aiohttp.ClientConnectorSSLError):
         reason = getattr(error.os_error, "reason", None)
         if reason in _NO_TLS:
-            return ProtocolError(f"{url}: this server does not speak TLS; the address begins with ws://", "tls")
-        return ProtocolError(f"{url}: no agreement on TLS ({reason or error.os_error})", "tls")
+            return ProtocolError(f"{url}: this server does not use TLS: use an address that begins with ws://", "tls")
+        return ProtocolError(f"{url}: the TLS handshake failed ({reason or error.os_error})", "tls")
     reached = not isinstance(error, aiohttp.ClientConnectorError)
     refused = error if isinstance(error, aiohttp.WSServerHandshakeError) else None
     # 400 is what some servers with TLS answer to plain HTTP
     plain = offered or (refused is not None and refused.status != 400)
     if reached and not plain and url.startswith("ws:") and await _speaks_tls(url):
-        return ProtocolError(f"{url}: this server speaks TLS; the address begins with wss://", "tls")
+        return ProtocolError(f"{url}: this server uses TLS: use an address that begins with wss://", "tls")
     if refused is not None:
         return ProtocolError(_refused(url, refused, offered), "refused")
     if reached:
-        return ProtocolError(f"{url}: what listens there closed the connection; is it a glsplat server?", "unreachable")
+        return ProtocolError(f"{url}: the server closed the connection; is it a glsplat server?", "unreachable")
     return ProtocolError(f"no server at {url}: start one with `glsplat serve`", "unreachable")
 
 
@@ -110,7 +110,7 @@ def _refused(url: str, error: aiohttp.WSServerHandshakeError, offered: Sequence[
     reasons = {
         400: "it does not know an option of the address: avatar is one of its /session, mirror 0 or 1, window 1 to 8, "
         "height 0.5 to 2.8, span 0.3 to 2.5, name letters and digits, at x,z,degrees",
-        401: "it wants a token; give it with --token-file",
+        401: "it needs a token; give it with --token-file",
         403: "it does not serve this origin, or this account may not have this avatar, room or name now",
         404: "there is no such room, which /session lists, or no WebSocket at this path, which is /ws",
         409: "somebody of this name is in the room, or was a moment ago; choose another",

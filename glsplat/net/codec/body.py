@@ -145,7 +145,7 @@ def placement_of(matrix: F64) -> Placement:
 def unpack_bodies(data: bytes) -> list[PersonPose]:
     """Unpack the poses behind the JSON object of a reply. Raises ProtocolError."""
     if not data:
-        raise ProtocolError("expected the number of bodies behind a reply in poses", "bad_reply")
+        raise ProtocolError("expected the number of bodies in a pose reply", "bad_reply")
     found, start = [], 1
     for _ in range(data[0]):
         size = int.from_bytes(data[start : start + 2], "little")
@@ -154,7 +154,7 @@ def unpack_bodies(data: bytes) -> list[PersonPose]:
         found.append(_unpacked(data[start : start + size]))
         start += size
     if start != len(data):
-        raise ProtocolError(f"{len(data) - start} bytes too many behind the bodies", "bad_reply")
+        raise ProtocolError(f"{len(data) - start} extra bytes after the bodies", "bad_reply")
     return found
 
 
@@ -182,7 +182,7 @@ def _unpacked(data: bytes) -> PersonPose:
     try:
         pose = Pose(vectors, numbers[8:11], translations, expression)
     except PoseError as error:
-        raise ProtocolError(f"a body that is no pose: {error}", "bad_reply") from None
+        raise ProtocolError(f"a body with an invalid pose: {error}", "bad_reply") from None
     place = similarity(numbers[:3], turn, numbers[7])
     return PersonPose(
         key, bool(flags & YOU), frame_id, at, t if isfinite(t) else None, opacity / 255, sha.hex(), place, pose
@@ -203,7 +203,7 @@ def _packed_translations(translations: F64) -> bytes:
 def _translations(data: bytes, offset: int, joints: int) -> F64:
     count = int.from_bytes(data[offset : offset + 2], "little")
     if offset + 2 + count * _MOVED.itemsize > len(data):
-        raise ProtocolError(f"a body of {count} joints that are moved ends early", "bad_reply")
+        raise ProtocolError(f"a body of {count} moved joints is truncated", "bad_reply")
     rows = np.frombuffer(data, _MOVED, count, offset + 2)
     if rows["joint"].max(initial=0) >= joints:
         raise ProtocolError(f"joint {rows['joint'].max()} of {joints} is moved", "bad_reply")

@@ -139,7 +139,7 @@ class GuardedConnection(web.RequestHandler):
         else:
             self._notices("http", f"malformed HTTP was refused ({status})")
         if request.writer.output_size > 0:
-            raise ConnectionError("an answer is under way already")
+            raise ConnectionError("an answer is already being sent")
         response = web.Response(status=status, text="the request failed\n" if status == 500 else "malformed request\n")
         response.force_close()
         return response

@@ -29,19 +29,19 @@ def state_folder() -> Path:
         try:
             base = Path.home() / ".local" / "state"
         except RuntimeError:
-            raise GlsplatError("this user has no home folder: name one to keep files in by XDG_STATE_HOME") from None
+            raise GlsplatError("this user has no home folder: set XDG_STATE_HOME to a folder for files") from None
     folder = base / "glsplat"
     try:
         base.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         info = folder.stat()
         if hasattr(os, "getuid") and info.st_uid != os.getuid():
-            raise GlsplatError(f"{folder}: belongs to another user; name another place by XDG_STATE_HOME")
+            raise GlsplatError(f"{folder}: belongs to another user; set XDG_STATE_HOME to another folder")
         if stat.S_IMODE(info.st_mode) != 0o700:
             folder.chmod(0o700)
     except OSError as error:
         reason = error.strerror or error
-        raise GlsplatError(f"{folder}: cannot be made ({reason}); name another place by XDG_STATE_HOME") from None
+        raise GlsplatError(f"{folder}: cannot be made ({reason}); set XDG_STATE_HOME to another folder") from None
     return folder
 
 

@@ -42,7 +42,7 @@ let ownRecording = null; // samples of the user's file
 
 if (!gl) {
   page.xr({ vr: 'this browser has no WebGL 2', ar: 'this browser has no WebGL 2' });
-  page.status('This browser has no WebGL 2, which the page draws with.', 'error');
+  page.status('This page needs WebGL 2, which this browser lacks.', 'error');
   throw new Error('no WebGL 2');
 }
 
@@ -178,7 +178,7 @@ async function begin() {
   try {
     const response = await connection.fetch('session');
     if (response.status === 401) {
-      page.askToken(sessionStorage.getItem(TOKEN) ? 'The token is wrong. Which is the right one?' : 'This server wants a token.');
+      page.askToken(sessionStorage.getItem(TOKEN) ? 'Wrong token. Enter the right one.' : 'This server needs a token.');
       sessionStorage.removeItem(TOKEN);
       connection.token = null;
       return;
@@ -243,7 +243,7 @@ async function drive() {
     else if (name === 'recording') driver = new Recording(parseRecording(await text('recording')));
     else if (name.startsWith('motion:')) driver = living(name, new Motion(JSON.parse(await text(`motions/${name.slice(7)}`))));
   } catch (error) {
-    complain(`it cannot be played: ${error.message}`);
+    complain(`cannot play this: ${error.message}`);
   }
   if (name === settings.get('driver')) viewer.driver = driver; // else a later choice loaded faster
 }
@@ -265,7 +265,7 @@ async function enter(mode) {
     tell();
   } catch (error) {
     viewer.start();
-    complain(`the headset does not let this page in: ${error.message}`);
+    complain(`cannot enter ${mode.toUpperCase()}: ${error.message}`);
   }
 }
 
@@ -274,7 +274,7 @@ let saves = false; // a recording runs, or has stopped by itself and is to be sa
 function toggleRecording() {
   if (!saves) {
     if (!immersive.mode && !(viewer.driver instanceof Recording)) {
-      complain('there is nothing to record: no head and no hands move the avatar');
+      complain('nothing to record: neither head nor hands drive the avatar');
       return;
     }
     saves = true;
@@ -328,7 +328,7 @@ page.addEventListener('record', toggleRecording);
 page.addEventListener('calibrate', () => menu.press('calibrate'));
 page.addEventListener('fullscreen', () => {
   const done = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
-  done.catch((error) => complain(`no full screen: ${error.message}`));
+  done.catch((error) => complain(`cannot enter full screen: ${error.message}`));
 });
 page.addEventListener('token', ({ detail }) => {
   sessionStorage.setItem(TOKEN, detail);

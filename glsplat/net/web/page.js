@@ -169,8 +169,8 @@ export class Page extends EventTarget {
     this.#get('name').setAttribute('aria-invalid', String(!right));
     const note = this.#get('name-note');
     note.textContent = right
-      ? 'Stands over your head for the others in the room.'
-      : 'Not used: up to 32 letters and digits are needed.';
+      ? 'Shown over your head to others in the room.'
+      : 'Not used: enter up to 32 letters and digits.';
     note.classList.toggle('bad', !right);
   }
 
@@ -179,7 +179,7 @@ export class Page extends EventTarget {
     const note = this.#get('height-note');
     note.textContent = right
       ? 'Optional; 0.5 to 2.8. Fits the avatar to you in VR.'
-      : 'Not used: metres from 0.5 to 2.8 are needed, such as 1.75.';
+      : 'Not used: enter metres from 0.5 to 2.8, such as 1.75.';
     note.classList.toggle('bad', !right);
   }
 
@@ -245,6 +245,6 @@ export class Page extends EventTarget {
     this.#get('calibrate').disabled = !this.#inside;
     this.#get('calibrate-note').textContent = this.#inside
       ? 'Stand straight for two seconds and look ahead; stretch your arms sideways to measure them too.'
-      : 'Calibrating needs VR: stand straight there for two seconds.';
+      : 'Enter VR to calibrate: stand straight there for two seconds.';
   }
 }

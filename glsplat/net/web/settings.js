@@ -30,7 +30,7 @@ function table() {
     size: choice(1024, plain([512, 768, 1024, 1536])), // pixels, both sides of an eye's picture
     quality: number(80, 50, 95), // JPEG quality
     drawn: choice('auto', [
-      { value: 'auto', label: 'The faster' },
+      { value: 'auto', label: 'Automatic' },
       { value: 'server', label: 'The server' },
       { value: 'here', label: 'This device' },
     ]), // where the avatars are drawn

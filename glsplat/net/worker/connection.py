@@ -97,7 +97,7 @@ class WorkerConnection(asyncio.Protocol):
         done. ``patient``: the picture may take longer than usual.
         """
         if not self.alive:
-            raise WorkerLostError("the worker has ended")
+            raise WorkerLostError("the worker has stopped")
         loop = asyncio.get_running_loop()
         self._number = number = self._number % 0xFFFFFFFF + 1
         drawn = self._drawing[number] = loop.create_future()
@@ -182,7 +182,7 @@ class WorkerConnection(asyncio.Protocol):
             failed = read_failed(body)
             found = error_of(failed)
             if not isinstance(found, GlsplatError):
-                log.error("a worker could not be opened: %s", failed.text)
+                log.error("a worker failed to start: %s", failed.text)
                 found = ContextError("the worker's renderer could not be made; the log has its error")
             _answer(self.opened, found)
 

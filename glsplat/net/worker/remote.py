@@ -80,7 +80,7 @@ class RemoteWorker:
         """Draw. Pixels in shared memory stay valid until ``done`` of the result is called, once."""
         link, slots, slot = self._link, self.launcher.slots, None
         if link is None:
-            raise WorkerLostError("the worker has ended")
+            raise WorkerLostError("the worker has stopped")
         self._cancelled = False
         shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
         if slots is not None:
@@ -89,7 +89,7 @@ class RemoteWorker:
             raise GlsplatError(f"{shape[2]}x{shape[1]} pixels are more than a worker can send")
         try:
             if self._cancelled:
-                raise BudgetError("nobody waits for the picture any more", "abandoned")
+                raise BudgetError("the picture is no longer wanted", "abandoned")
             shown = job.avatar, job.options.hide
             order = Order(job, None if slot is None else slot.number, pixels and slot is None)
             drawn, content = link.draw(order, patient=shown not in self._loaded)

@@ -35,7 +35,7 @@ class SlotWriter:
         images = rendered.images
         _, height, width, _ = images.shape
         if images.shape != shape:
-            raise RuntimeError(f"pictures of shape {shape} were asked for, {images.shape} drawn")
+            raise RuntimeError(f"pictures of shape {shape} were requested, {images.shape} drawn")
         if images is self._dirty:
             return
         if self._dirty is not None:

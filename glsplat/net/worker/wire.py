@@ -190,7 +190,7 @@ class Reader:
         body = receive(self._connection, length)
         self._count += 1
         if not hmac.compare_digest(receive(self._connection, _SEAL), _seal(self._key, self._count, head, body)):
-            raise GlsplatError("a request to a worker came that its gateway has not sent")
+            raise GlsplatError("a worker received a request that its gateway did not send")
         return Kind(kind), number, pickle.loads(body) if body else None
 
 
@@ -203,7 +203,7 @@ def greet(connection: socket.socket, secret: bytes, *, worker: bool) -> bytes:
     connection.sendall(_MAGIC + own)
     greeting = receive(connection, len(_MAGIC) + _NONCE)
     if greeting[: len(_MAGIC)] != _MAGIC:
-        raise GlsplatError("what is at the other end is no glsplat worker, or of another version")
+        raise GlsplatError("the other end is not a glsplat worker, or has another version")
     other = greeting[len(_MAGIC) :]
     both = other + own if worker else own + other  # the gateway's first
     tags = {role: hmac.digest(secret, role + both, "sha256") for role in (b"gateway", b"worker", b"key")}

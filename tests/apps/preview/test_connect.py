@@ -99,7 +99,7 @@ def test_the_newest_wish_is_answered_and_a_quiet_feed_asks_for_nothing() -> None
     backend, woken, token = Grey(), [], "0123456789abcdef"
     options = ServerConfig(port=0, wire=WireOptions(size=(32, 32), max_side=40), access=Access(token=token))
     with serving(lambda: server_of(backend, options)) as url:
-        with pytest.raises(GlsplatError, match="wants a token"):
+        with pytest.raises(GlsplatError, match="needs a token"):
             Feed(url).start()
         with feeding(url, quality=100, token=token) as feed:
             feed.wake = lambda: woken.append(1)

@@ -111,4 +111,4 @@ def test_the_browser_here_is_opened_or_a_line_says_why(monkeypatch, caplog, fail
     open_page(Endpoint("127.0.0.1", 1)).join(60)
     open_page(Endpoint("0.0.0.0", 1, SECURE)).join(60)
     assert asked[0] == "http://localhost:1/vr" and len(caplog.messages) == (2 if failure else 1)
-    assert caplog.messages[-1] == "open: no browser could be started here; the page is https://localhost:1/vr"
+    assert caplog.messages[-1] == "open: no browser could be started; open https://localhost:1/vr"

@@ -217,7 +217,7 @@ def test_mistakes_of_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
         (f"{both} --participants 12 --effect colour=1", "expected factors"),
         ("--within type=self --participants 12", "--within needs NAME=LEVEL,LEVEL"),
         (f"{both} --between type=a,b --participants 12", "--between needs"),
-        (f"{both} --participants 12 --runs 0", "a run or more"),
+        (f"{both} --participants 12 --runs 0", "at least one run"),
         (f"{both} --participants 1", "2 participants or more"),
         (f"{both} --participants 12 --points 1", "2 to 1000 points"),
     ):

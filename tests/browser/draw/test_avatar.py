@@ -139,12 +139,12 @@ def with_header(data: bytes, **changes: Any) -> bytes:
 LIES = [
     ({"parts__0__splats": 2**21}, "unpack to"),
     ({"parts__0__splats": 7}, "unpack to more than"),
-    ({"joints__parents": [1, 0, *range(1, 11)]}, "a circle of joints"),
-    ({"parts__0__offset": 3}, "does not lie behind the one before"),
+    ({"joints__parents": [1, 0, *range(1, 11)]}, "form a cycle"),
+    ({"parts__0__offset": 3}, "does not follow the previous one"),
     ({"parts__0__low": [0, 0, 1e300]}, "without a box"),
     ({"influences": 3}, "influences that are not"),
-    ({"joints__rest": [0.0] * 144}, "no inverse"),
-    ({"shapes__limits": [0.5, 1, 0, 1, 0, 1]}, "do not hold 0"),
+    ({"joints__rest": [0.0] * 144}, "not invertible"),
+    ({"shapes__limits": [0.5, 1, 0, 1, 0, 1]}, "do not include 0"),
 ]
 SURFACE_LIES = [
     ({"parts__1__shaded": False}, "unpack to more than"),

@@ -93,7 +93,7 @@ def test_it_is_timed_when_all_of_the_avatar_is_there(visit: Callable[..., Opened
     page.until("window.first && window.glsplat.stats().shown > 2")
     page.wait(3.0)  # pictures are watched for two
     drawn = page.stats()["drawn"]
-    assert (drawn["by"], drawn["reason"], drawn["avatars"]) == ("server", "the avatar is on its way", 1)
+    assert (drawn["by"], drawn["reason"], drawn["avatars"]) == ("server", "the avatar is loading", 1)
     page.js("window.rest()")
     page.until(f"/pictures a second/.test({DRAWN}.reason)")
 
@@ -138,7 +138,7 @@ def test_what_cannot_be_drawn_here_is_drawn_by_the_server(visit: Callable[..., O
     damaged.page.goto(served.page)
     starved = "WebGL2RenderingContext.prototype.getError = () => 0x0505;"
     for page, words in (
-        (damaged, "the avatar did not come"),
+        (damaged, "the avatar did not load"),
         (visit(served.page, init=f"{chosen};{starved}"), "not enough memory for these splats"),
     ):
         page.until(f"window.glsplat?.stats().shown > 2 && {DRAWN}.reason.includes('{words}')")
@@ -154,7 +154,7 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   young.frame(0);
   said.push([young.asks('', 1900)]); // how fast pictures come is not known yet
   run(choice, 0, 2000, 72); // pictures, on a display of 72 Hz
-  said.push([choice.here, Math.round(choice.display), choice.asks('the avatar is on its way', 2000), choice.reason]);
+  said.push([choice.here, Math.round(choice.display), choice.asks('the avatar is loading', 2000), choice.reason]);
   said.push([choice.asks('', 2000)]);
   choice.measured(50, 30, 2000); // 20 a second against 30
   said.push([choice.here, choice.reason, choice.asks('', 2001), choice.asks('', 62001)]);
@@ -188,7 +188,7 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
 def test_the_choice(bench: Bench) -> None:
     first, *said = bench.js(CHOICE)
     assert first == [False]
-    assert said[0] == [False, 72, False, "the avatar is on its way"] and said[1] == [True]
+    assert said[0] == [False, 72, False, "the avatar is loading"] and said[1] == [True]
     assert said[2] == [False, "the server is faster: 30 pictures a second, 20 here", False, True]
     assert said[3] == [True, "72 pictures a second here, 30 from the server"]
     assert said[4] == [True] and said[5] == [True]

@@ -223,7 +223,7 @@ GOOD = by_hand(rest=bytes(18))
     [
         (GOOD[:-1], r"truncated: the header declares \d+ bytes, the file has \d+"),
         (GOOD + bytes(16), r"the header declares \d+ bytes, but the file has \d+"),
-        (GOOD.replace(b"binary_little_endian", b"ascii"), "is binary, but this one says that it is ASCII"),
+        (GOOD.replace(b"binary_little_endian", b"ascii"), "is binary, but the header of this one says ASCII"),
         (GOOD.replace(b"element chunk 1", b"element chank 1"), "needs the elements chunk and vertex"),
         (GOOD.replace(b"element vertex 2", b"element vertax 2"), "needs the elements chunk and vertex"),
         (GOOD.replace(b"float min_scale_y", b"float min_scale_q"), "need a property float min_scale_y"),

@@ -188,7 +188,7 @@ def test_animations_of_games(shared_data: Path, skeleton: Skeleton) -> None:
 
 @pytest.mark.shared
 def test_a_fox_is_refused(shared_data: Path, skeleton: Skeleton) -> None:
-    with pytest.raises(Exception, match=r"fox\.glb.*this is no person") as caught:
+    with pytest.raises(Exception, match=r"fox\.glb.*this is not a standing person") as caught:
         load_motion(shared_data / "real/models/fox.glb", skeleton)
     assert "\n" not in str(caught.value)
 

@@ -85,7 +85,7 @@ def edited(lines: list[bytes]) -> dict[str, list[bytes]]:
 @pytest.mark.parametrize("how", edited([b""] * 20))
 def test_an_edited_log_is_refused(path: Path, tmp_path: Path, how: str) -> None:
     path.write_bytes(b"".join(edited(path.read_bytes().splitlines(keepends=True))[how]))
-    with pytest.raises(FormatError, match=r"session.jsonl: line \d+: it does not follow"):
+    with pytest.raises(FormatError, match=r"session.jsonl: line \d+: does not follow"):
         list(Log(path))
     before = path.read_bytes()
     with pytest.raises(FormatError):
@@ -213,7 +213,7 @@ def test_deleted_whole(path: Path, tmp_path: Path) -> None:
     (tmp_path / "sub-008").mkdir()
     assert remove(tmp_path, 7) == 2
     assert [p.name for p in tmp_path.iterdir()] == ["sub-008"]
-    with pytest.raises(FormatError, match="nothing of this participant"):
+    with pytest.raises(FormatError, match="no data of this participant"):
         remove(tmp_path, 7)
 
 

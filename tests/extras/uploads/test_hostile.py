@@ -159,7 +159,7 @@ async def test_a_disk_that_is_full_says_so_and_keeps_nothing(takes, monkeypatch)
     async with takes() as client:
         monkeypatch.setattr(glsplat.extras.uploads.upload_store, "replace_file", full)
         told = await client.job(PICTURE, "failed")
-        assert told["error"] == "the avatar could not be kept: this server's disk refuses it"  # and names no file
+        assert told["error"] == "the avatar could not be saved: the server cannot write to its disk"  # no file named
         assert client.kept() == [] and await client.offered() == ["default"]
 
 
@@ -173,7 +173,7 @@ async def test_findings_without_end_are_cut_short(takes):
 
 async def test_an_avatar_that_is_too_big_is_not_taken(takes):
     async with takes(avatar_bytes=10_000) as client:
-        assert "server's own" in (await client.job(PICTURE, "failed"))["error"]
+        assert "error on the server" in (await client.job(PICTURE, "failed"))["error"]
         assert client.kept() == []
 
 

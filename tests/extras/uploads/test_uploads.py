@@ -56,7 +56,7 @@ async def test_notes_are_reported_steps_bounded_and_prints_kept_back(takes, capf
     assert "secret" not in "".join(capfd.readouterr())
 
 
-OWN_FAULT = "it could not be made, for a reason of the server's own; another picture may do"
+OWN_FAULT = "an error on the server; another picture may work"
 
 
 async def test_a_failure_is_one_line_and_the_next_picture_is_made(takes, caplog, capfd):

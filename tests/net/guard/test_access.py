@@ -152,7 +152,7 @@ async def test_foreign_pages_cannot_connect(serve):
 
 async def test_tls_to_a_plain_server_is_said(serve):
     async with serve() as server:
-        with pytest.raises(ProtocolError, match="does not speak TLS; the address begins with ws://"):
+        with pytest.raises(ProtocolError, match="does not use TLS: use an address that begins with ws://"):
             await Client(server.url.replace("ws:", "wss:")).connect()
 
 

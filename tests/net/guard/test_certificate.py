@@ -139,7 +139,7 @@ def test_another_certificates_key_is_a_damaged_one(folder, tmp_path):
     "name", ["", "two words", "bücher.example", "a" * 64 + ".example", "*", "a.*.example", "lab:80"]
 )
 def test_names_that_no_certificate_can_hold(folder, name):
-    with pytest.raises(GlsplatError, match="is no name that a certificate can hold: expected letters, digits"):
+    with pytest.raises(GlsplatError, match="is not a name that a certificate can hold: expected letters, digits"):
         kept_certificate(folder, (name,))
     assert not list(folder.iterdir())
 
@@ -193,7 +193,7 @@ async def test_tls_takes_it_and_clients_trust_it(serve, cameras, folder):
     async with serve(config=config) as server, aiohttp.ClientSession() as http:
         with pytest.raises(ProtocolError, match="not trusted; give it with --tls-ca"):
             await Client(server.url, TOKEN).connect()
-        with pytest.raises(ProtocolError, match="speaks TLS; the address begins with wss://"):
+        with pytest.raises(ProtocolError, match="uses TLS: use an address that begins with wss://"):
             await Client(server.url.replace("wss:", "ws:"), TOKEN).connect()
         async with Client(server.url, TOKEN, cafile=folder / CERTIFICATE) as client:
             assert (await client.render(cameras)).frame_id == 1

@@ -162,7 +162,7 @@ def test_a_bucket_takes_no_time_backwards():
     assert not bucket.take(90.0) and bucket.take(100.11)
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "deploying.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "security.md").read_text(encoding="utf-8")
 SERVER, SESSION = ServerConfig(), SessionConfig()
 UPLOADS = UploadConfig(folder=Path(), make=lambda order, progress: None)
 ROWS = {

@@ -36,7 +36,7 @@ def test_without_an_absolute_path_it_is_in_the_home_folder(tmp_path, monkeypatch
 
 def test_a_folder_that_cannot_be_had_is_one_line(state):
     state.write_text("a file in its place")
-    with pytest.raises(GlsplatError, match=r"/glsplat: cannot be made \(.*\); name another place by XDG_STATE_HOME$"):
+    with pytest.raises(GlsplatError, match=r"/glsplat: cannot be made \(.*\); set XDG_STATE_HOME to another folder$"):
         state_folder()
 
 

@@ -101,7 +101,7 @@ def test_a_worker_without_its_slots_fails(tmp_path, monkeypatch):
 async def test_pictures_of_another_number_than_asked_for_take_no_slot():
     async with working(process_worker(TooMany, 64)) as worker:
         for _ in range(7):
-            with pytest.raises(RuntimeError, match=r"pictures of shape \(2, 64, 64, 4\) were asked for, \(3, 64"):
+            with pytest.raises(RuntimeError, match=r"pictures of shape \(2, 64, 64, 4\) were requested, \(3, 64"):
                 await worker.draw(request(64))
             await asyncio.sleep(0)  # it is given back
         assert worker.launcher.slots.free == 3

@@ -44,7 +44,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     """Have the links that lead out of docs/ lead to the page of the site that stands for it, or say where it is."""
     if page.file.src_uri in AT_ROOT or page.file.src_uri.startswith("api/"):
         return markdown
-    return _LINK.sub(_from_docs, markdown)
+    up = "../" * page.file.src_uri.count("/")
+    return _LINK.sub(lambda link: _from_docs(link, up), markdown)
 
 
 def _from_root(link: re.Match[str]) -> str:
@@ -53,11 +54,12 @@ def _from_root(link: re.Match[str]) -> str:
     return f"[{link[1]}]({pages.get(target, target.removeprefix('docs/'))}{mark}{anchor})"
 
 
-def _from_docs(link: re.Match[str]) -> str:
+def _from_docs(link: re.Match[str], up: str) -> str:
+    """``up`` leads from the page's folder to docs/."""
     target, mark, anchor = link[2].partition("#")
-    if not target.startswith("../"):
+    if not target.startswith(f"{up}../"):
         return link[0]
     for address, name in AT_ROOT.items():
-        if target == f"../{name}":
-            return f"[{link[1]}]({address}{mark}{anchor})"
-    return f"{link[1]} (`{target.removeprefix('../')}` in the repository)"
+        if target == f"{up}../{name}":
+            return f"[{link[1]}]({up}{address}{mark}{anchor})"
+    return f"{link[1]} (`{target.removeprefix(f'{up}../')}` in the repository)"

@@ -72,11 +72,11 @@ def read_header(data: bytes) -> ImageHeader:
         raise FormatError(f"the {kind} file claims too many pixels; save it smaller") from None
     except Exception as error:  # Pillow raises many types for damaged files
         text = " ".join(str(error).split())[:120]
-        raise FormatError(f"the {kind} file cannot be read ({text}); copy it again or save it anew") from None
+        raise FormatError(f"the {kind} file cannot be read ({text}); copy it again or save it again") from None
     if data.find(_END_MARKERS[kind], parsed) < 0:
         raise FormatError(f"the {kind} file ends in the middle of the picture; copy it again")
     if isinstance(image, WebPImageFile) and image.is_animated:
-        raise FormatError("an animated WebP is no photograph; save one picture of it as JPEG or PNG")
+        raise FormatError("an animated WebP is not a photograph; save one picture of it as JPEG or PNG")
     profile = image.info.get("icc_profile") is not None
     return ImageHeader(kind, *image.size, len(image.getbands()), image.info.get("exif", b""), profile)
 

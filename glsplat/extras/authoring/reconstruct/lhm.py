@@ -117,7 +117,7 @@ def from_environment() -> Lhm:
         raise GlsplatError("where LHM is installed is not known; set GLSPLAT_LHM to the folder of its checkout")
     folder = Path(configured).absolute()
     if not (folder / "LHM").is_dir():
-        raise GlsplatError(f"GLSPLAT_LHM: {folder} is no checkout of LHM, it has no folder LHM")
+        raise GlsplatError(f"GLSPLAT_LHM: {folder} is not a checkout of LHM: it has no folder LHM")
     named = os.environ.get("GLSPLAT_LHM_PYTHON", "")
     # links are not resolved: an interpreter finds its virtual environment by the place of the link
     python = Path(named).absolute() if named else folder / ".venv" / "bin" / "python"

@@ -48,6 +48,6 @@ def _checked(mask: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
     share = float(mask.mean())
     if not _MIN_FRACTION <= share <= _MAX_FRACTION:
         raise FormatError(
-            f"{name}: {share:.1%} of the mask are white, that is no person; make the person white, all else black"
+            f"{name}: {share:.1%} of the mask are white, which is not a person; make the person white, all else black"
         )
     return mask

@@ -113,7 +113,7 @@ def _chosen(
         if number in candidates:
             read, picture = film.retrieve()
             if not read or picture is None:
-                raise FormatError(f"{path}: frame {number} of the video is damaged; convert it to .mp4 anew")
+                raise FormatError(f"{path}: frame {number} of the video is damaged; convert it to .mp4 again")
             _check_shape(picture, path)
             sharp, interval = _sharpness(picture), candidates[number]
             if interval not in best or sharp > best[interval][0]:

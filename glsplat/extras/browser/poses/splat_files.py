@@ -107,11 +107,11 @@ def _made(offers: Catalogue, name: str) -> _File | None:
     one = offers[name]
     assert one.file is not None
     if one.skeleton is not None and len(one.skeleton) > _MOST_JOINTS:
-        log.warning('"%s" is drawn here alone: a body on the wire has at most %d joints', name, _MOST_JOINTS)
+        log.warning('"%s" is drawn by the server only: a body on the wire has at most %d joints', name, _MOST_JOINTS)
         return None
     try:
         made = one.file()
     except GlsplatError as error:
-        log.warning('"%s" is drawn here alone: %s', name, error)
+        log.warning('"%s" is drawn by the server only: %s', name, error)
         return None
     return _File(made.data, sha256(made.data).digest(), made.first)

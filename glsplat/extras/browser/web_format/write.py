@@ -104,7 +104,7 @@ def _file(header: Header, parts: list[bytes]) -> bytes:
         at += len(data)
     text = json.dumps(msgspec.to_builtins(header), separators=(",", ":"), ensure_ascii=False).encode()
     if len(text) > MOST_HEADER:
-        raise FormatError(f"what a browser is told of an avatar has at most {MOST_HEADER} bytes, not {len(text)}")
+        raise FormatError(f"the header of an avatar for browsers has at most {MOST_HEADER} bytes, not {len(text)}")
     head = _packed(text)
     return b"".join([HEAD.pack(MAGIC, VERSION, 0, len(head), len(text)), head, *parts])
 

@@ -66,7 +66,7 @@ class SogFolder:
         try:
             path = (folder / _inside(name)).resolve()
         except (OSError, ValueError, RuntimeError):
-            raise FormatError(f"the image {name!r:.60} is no path of a file") from None
+            raise FormatError(f"the image {name!r:.60} is not the path of a file") from None
         if not path.is_relative_to(folder):
             raise FormatError(f"the image {name!r:.60} lies outside the folder of the meta.json")
         with open_regular(path) as (file, size):

@@ -60,7 +60,7 @@ class FaceListener:
                 continue
             except OSError as error:  # some systems report a sender that is gone
                 if not failing:
-                    log.warning("the port of the face cannot be read just now (%s); it is tried again", error.strerror)
+                    log.warning("the face-tracking port cannot be read (%s); retrying", error.strerror)
                 failing = True
                 self._ends.wait(_RETRY_S)
                 continue

@@ -78,7 +78,7 @@ def choose(table: Table, kind: ModelName = "auto") -> Model:
     if len(kept) < 2:
         raise FormatError(
             f"expected two participants or more with every condition, found {len(kept)} of {len(table.names)}; "
-            "a mixed model takes those with gaps, too"
+            "a mixed model accepts participants with gaps"
         )
     model = Model(table.of(kept) if gone else table, "rm", gone)
     if [f.within for f in model.table.factors] != [f.within for f in table.factors]:

@@ -61,7 +61,7 @@ def read_codebook(path: Path) -> Codebook | None:
         measures = tuple(_measure(name, said) for name, said in study.get("measures", {}).items())
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FormatError(
-            f"{path}: its key Study does not say factors and measures as it should ({error!r:.80})"
+            f"{path}: its key Study does not list factors and measures correctly ({error!r:.80})"
         ) from None
     return Codebook(factors, measures)
 
@@ -84,9 +84,7 @@ def item_answers(path: str | Path, measure: Measure) -> F64:
     answers = np.array(list(asked.values())).reshape(-1, len(place))
     for item in measure.reversed & set(place):
         if measure.ends is None:
-            raise FormatError(
-                f"{measure.name}: item {item} is reversed, but the sidecar does not say the scale's range"
-            )
+            raise FormatError(f"{measure.name}: item {item} is reversed, but the sidecar lacks the scale's range")
         answers[:, place[item]] = sum(measure.ends) - answers[:, place[item]]
     return answers
 

@@ -67,7 +67,7 @@ class Planned:
 
     def __post_init__(self) -> None:
         if unknown := self.between - set(self.factors):
-            raise FormatError(f"no factor is called {min(unknown)!r}; there are {', '.join(self.factors)}")
+            raise FormatError(f"no factor is named {min(unknown)!r}; there are {', '.join(self.factors)}")
         if not 0 <= self.correlation < 1:
             raise FormatError(f"the correlation needs 0 or more and less than 1, not {self.correlation:g}")
         if self.points is not None and not 2 <= self.points <= 1000:
@@ -181,7 +181,7 @@ def power(
     ``progress`` is told how many more are done. The same seed gives the same rows.
     """
     if runs < 1 or not 0 < alpha < 1:
-        raise FormatError(f"power needs a run or more and an alpha between 0 and 1, not {runs} and {alpha:g}")
+        raise FormatError(f"power needs at least one run and an alpha between 0 and 1, not {runs} and {alpha:g}")
     rng = np.random.default_rng(seed)
     effects = effects_of(len(table.factors))
     found: dict[Effect, int] = dict.fromkeys(effects, 0)

@@ -84,7 +84,7 @@ def secrets_of(folder: Path) -> dict[str, str]:
             found = json.loads(data)
             return {who: str(found[who]) for who in ("participant", "experimenter")}
         except (ValueError, KeyError, TypeError):
-            raise FormatError(f"{path}: expected two secrets; delete it, and it is made anew") from None
+            raise FormatError(f"{path}: expected two secrets; delete it and it is made again") from None
     made = {who: secrets.token_urlsafe(18) for who in ("participant", "experimenter")}
     replace_file(path, [json.dumps(made).encode()], private=True)
     return made
@@ -209,7 +209,7 @@ class StudyLead(Feature):
                 return _refusal(_STATUS.get(error.code, 400), error.code, str(error), getattr(error, "wait", None))
             except GlsplatError as error:  # of the disk; it names files, so only the experimenter may see it
                 log.error("%s", error)
-                text = str(error) if who == "experimenter" else "this could not be written down; it is tried again"
+                text = str(error) if who == "experimenter" else "the server could not write this to its log; retrying"
                 return _refusal(507, "disk", text)
 
         return answer

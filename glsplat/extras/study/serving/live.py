@@ -180,7 +180,7 @@ class Live:
                     log.error("%s", error)
                     pause = _RETRY_S
                 except Exception:
-                    log.exception("the session cannot go on")
+                    log.exception("the session cannot continue")
                     pause = _RETRY_S
             await asyncio.sleep(pause)
 
@@ -201,4 +201,4 @@ def resumed_at(last: float, opened: Event | None, now: float) -> float:
 
 def wrong_page() -> ProtocolError:
     """Return the error for a page that is not the active one."""
-    return ProtocolError("the study goes on on another page; reload this one to go on here", "elsewhere")
+    return ProtocolError("the study is open on another page; reload this one to continue here", "elsewhere")

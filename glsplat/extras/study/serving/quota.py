@@ -38,13 +38,13 @@ class LinkQuota:
         """Raise QuotaError: "full" for a log of ``size`` bytes unless the event is needed, "rate" for a high rate."""
         if size >= MAX_LOG_BYTES and not makes_progress:
             raise QuotaError(
-                f"the log of this session is full ({MAX_LOG_BYTES >> 20} MiB): answers that are saved stay as they "
-                "are, and a task that is under way is not begun anew",
+                f"the log of this session is full ({MAX_LOG_BYTES >> 20} MiB): saved answers stay, "
+                "and a running task is not restarted",
                 "full",
             )
         if (left := self._bucket.left(now)) <= 0:
             wait = math.ceil(-left / self._bucket.rate) or 1
-            raise QuotaError(f"answers come faster than they are written down; try again in {wait} s", "rate", wait)
+            raise QuotaError(f"answers arrive faster than they can be saved; try again in {wait} s", "rate", wait)
 
     def charge(self, now: float, nbytes: int) -> None:
         """Charge appended bytes."""

@@ -65,7 +65,7 @@ class Recording:
             except OSError as error:
                 self.lost += len(whole)
                 if not logged:
-                    log.error("%s: cannot be written (%s); the session goes on without", self.path, error.strerror)
+                    log.error("%s: cannot be written (%s); the session continues without it", self.path, error.strerror)
                 logged = True
 
 
@@ -76,7 +76,7 @@ def _append(path: Path, data: bytes) -> None:
         if size + len(data) > MAX_BYTES:
             raise OSError(errno.EFBIG, f"it has {MAX_BYTES >> 20} MiB, the most that is recorded")
         if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES + len(data):
-            raise OSError(errno.ENOSPC, f"less than {MIN_FREE_BYTES >> 20} MiB of the disk are free, kept for answers")
+            raise OSError(errno.ENOSPC, f"the last {MIN_FREE_BYTES >> 20} MiB of the disk are kept for answers")
         if data and file.write(data) != len(data):
             file.truncate(size)
             raise OSError(errno.ENOSPC, "No space left on device")

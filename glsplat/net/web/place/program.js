@@ -13,7 +13,7 @@ export function build(gl, { vertex, fragment }) {
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader)).join(' ');
-    throw new Error(`a shader does not compile: ${gl.getProgramInfoLog(program)} ${logs}`);
+    throw new Error(`a shader failed to compile: ${gl.getProgramInfoLog(program)} ${logs}`);
   }
   const at = {};
   for (let i = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) - 1; i >= 0; i--) {

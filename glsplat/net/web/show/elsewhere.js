@@ -37,7 +37,7 @@ function said(found) {
   if (!found) return { words: 'The server does not answer. Try again in a moment.', svg: '', address: location.origin };
   if (found.local) {
     return {
-      words: `This server listens on this computer alone. For others on your network start it with the line below. A Quest on a cable needs no more than: adb reverse tcp:${port} tcp:${port}, and this page in its browser.`,
+      words: `This server accepts connections only from this computer. To reach it from your network, start it with the command below. For a Quest on a cable, run adb reverse tcp:${port} tcp:${port} and open this page in its browser.`,
       svg: '',
       address: 'glsplat serve --host 0.0.0.0 --self-signed',
     };
@@ -45,6 +45,6 @@ function said(found) {
   const secure = found.page.startsWith('https:');
   const words = secure
     ? 'Scan this with the phone or the headset, accept the certificate once, then choose Enter VR there.'
-    : 'Scan this with the phone. A headset offers VR on https alone: start the server with --self-signed for that.';
+    : 'Scan this with the phone. Headsets allow VR only on https: start the server with --self-signed for that.';
   return { words, svg: found.svg, address: found.page };
 }

@@ -13,7 +13,7 @@ import { Painter } from './painter.js';
 
 const FIRST = 3000; // ms that the place, and drawing on this device, wait for the first picture
 const PATIENCE = 10_000; // ms that the parts of extras wait for the first picture, unless the connection fails
-const BY_SERVER = { by: 'server', reason: 'the server hands out no splats of this avatar' };
+const BY_SERVER = { by: 'server', reason: 'the server does not hand out the splats of this avatar' };
 const COMPLAINT = 4000; // ms for which an error of the server is shown
 
 export class Stage {
@@ -179,7 +179,7 @@ export class Stage {
     const { why, scale } = this.info.detail ?? {};
     if (why !== 'link' || this.connection.state !== 'open') return '';
     const less = scale < 1 ? `${Math.round(100 * scale)} % of their size` : 'lower quality';
-    return `The connection is slow: pictures have ${less} for now.`;
+    return `The connection is slow: pictures are sent at ${less}.`;
   }
 
   /** Forget the picture, for another avatar or another place. */

@@ -14,12 +14,12 @@ const DOUBLE = 500; // ms between two pinches of the left hand that go to the ne
 
 /** {vr, ar}: true, or in words why not. */
 export async function support() {
-  if (!isSecureContext) return both('Browsers open VR on https or on localhost alone: start the server with --self-signed.');
+  if (!isSecureContext) return both('Browsers allow VR only on https or localhost: start the server with --self-signed.');
   if (!navigator.xr) return both('This browser has no WebXR: open this page in a headset, or in Chrome or Edge with one.');
   const can = async (mode, words) => ((await navigator.xr.isSessionSupported(mode).catch(() => false)) ? true : words);
   return {
     vr: await can('immersive-vr', 'No headset is connected to this device.'),
-    ar: await can('immersive-ar', 'No passthrough is connected to this device.'),
+    ar: await can('immersive-ar', 'No headset with passthrough is connected to this device.'),
   };
 }
 

@@ -227,22 +227,22 @@ export class Connection extends EventTarget {
     try {
       const response = await this.fetch('session');
       if (response.status === 401) {
-        return ['token', this.#token ? 'the token is wrong' : 'this server wants a token'];
+        return ['token', this.#token ? 'the token is wrong' : 'this server needs a token'];
       }
       if (response.status === 429) {
         const seconds = Number(response.headers.get('Retry-After')) || 10;
-        return ['held-off', `the server holds this address off for ${seconds} s`, seconds * 1000];
+        return ['held-off', `too many attempts from this address; the next one in ${seconds} s`, seconds * 1000];
       }
       if (response.ok) {
         const offer = await response.json();
         this.dispatchEvent(new CustomEvent('offer', { detail: offer })); // the chosen avatar or room may be gone
-        if (offer.avatars?.length === 0) return ['refused', 'there is no avatar here that you may drive now; trying again', 5000];
+        if (offer.avatars?.length === 0) return ['refused', 'the server has no avatar for you now; trying again', 5000];
         if (offer.full) return ['full', 'the server is full; trying again', 2000];
         const words = roomRefusal(this.#options(), offer.rooms ?? []);
         if (words) return ['refused', words, 2000];
-        return ['refused', 'the server lets nobody in just now; trying again'];
+        return ['refused', 'the server accepts no connections now; trying again'];
       }
-      return ['refused', `the server refuses (${(await response.text()).trim() || response.status})`];
+      return ['refused', `the server refused the connection (${(await response.text()).trim() || response.status})`];
     } catch {
       return ['lost', 'the server does not answer; trying again'];
     }
@@ -262,15 +262,15 @@ const isOfPoses = (data) => data.byteLength > 8 && new DataView(data).getUint8(8
 function roomRefusal({ room, name }, rooms) {
   if (!room) return '';
   const found = rooms.find((one) => one.name === room);
-  if (!found) return `there is no room "${room}" here`;
+  if (!found) return `this server has no room "${room}"`;
   if (found.people >= found.seats) return 'the room is full; trying again';
-  return name ? `somebody called "${name}" may be in the room: choose another name` : 'the room lets nobody in; trying again';
+  return name ? `the name "${name}" may be taken in this room: choose another` : 'the room accepts nobody now; trying again';
 }
 
 /** Return what a close code of section 6 means: [problem, words, ms to wait at least]. */
 function closing({ code, reason }) {
   const words = reason ? `: ${reason}` : '';
-  if (code === 1001) return ['lost', `${reason || 'the server stops'}; trying again`];
+  if (code === 1001) return ['lost', `${reason || 'the server is shutting down'}; trying again`];
   if (code === 1008) return ['refused', `the server ended the connection${words}`, 2000];
-  return ['lost', `the connection is lost${words}; trying again`];
+  return ['lost', `connection lost${words}; trying again`];
 }

@@ -20,7 +20,7 @@ export class Pictures {
     this.#onDecoded = onDecoded;
     this.#onError = onError;
     this.#worker.onmessage = ({ data }) => this.#done(data);
-    this.#worker.onerror = (event) => this.#done({ error: event.message || 'the decoding worker does not start' });
+    this.#worker.onerror = (event) => this.#done({ error: event.message || 'the decoding worker failed to start' });
   }
 
   /** Queue a parsed reply; its buffer is transferred. `asked` comes back with its pictures. */

@@ -10,7 +10,7 @@ const MOST = 65535; // points of a grid
  */
 export function parseReply(buffer) {
   const view = new DataView(buffer);
-  if (view.getUint16(0, true) !== MAGIC || view.getUint16(2, true) !== 1) throw new Error('no reply of version 1');
+  if (view.getUint16(0, true) !== MAGIC || view.getUint16(2, true) !== 1) throw new Error('not a reply of protocol version 1');
   const id = view.getUint32(4, true);
   const eyes = [];
   let offset = 9;
@@ -18,7 +18,7 @@ export function parseReply(buffer) {
     const length = view.getUint32(offset, true);
     const found = [offset + 4, length];
     offset += 4 + length;
-    if (offset > buffer.byteLength) throw new Error('a reply that ends early');
+    if (offset > buffer.byteLength) throw new Error('truncated reply');
     return found;
   };
   for (let n = view.getUint8(8); n > 0; n--) {
@@ -37,7 +37,7 @@ export function parseReply(buffer) {
 function grids({ grid: [columns, rows], inverse }, data) {
   const count = columns * rows;
   const whole = Number.isInteger(columns) && Number.isInteger(rows) && columns > 1 && rows > 1 && count <= MOST;
-  if (!whole || data.length !== count * inverse.length) throw new Error('a reply whose depth does not fit together');
+  if (!whole || data.length !== count * inverse.length) throw new Error('the depth of the reply has a wrong size');
   return inverse.map(([low, high], i) => {
     const steps = data.subarray(i * count, (i + 1) * count);
     return { columns, rows, inverse: Float32Array.from(steps, (step) => low + ((high - low) / 255) * step) };

@@ -27,7 +27,7 @@ class WorkerSocket {
 
   constructor(url, protocols) {
     this.#worker.onmessage = ({ data }) => this.#heard(data);
-    this.#worker.onerror = (event) => this.#closed({ code: 1006, reason: event.message || 'the worker does not start' });
+    this.#worker.onerror = (event) => this.#closed({ code: 1006, reason: event.message || 'the connection worker failed to start' });
     this.#worker.postMessage({ url: String(url), protocols });
   }
 

@@ -49,7 +49,7 @@ export class Calibration {
    * {result: {height, eyes, span, floor}} in metres (span null where the arms hung) or {error: text}.
    */
   add(sample, nowMs) {
-    if (!this.running) return { error: 'No calibration is running: begin it first.' };
+    if (!this.running) return { error: 'No calibration is running: start one first.' };
     if (usable(sample?.head)) this.#eyes.push(sample.head.slice(0, 3));
     const wrists = ['left', 'right'].map((side) => wrist(sample, side));
     if (wrists.every((place) => place !== null)) this.#spans.push(distance(...wrists));
@@ -78,7 +78,7 @@ export class Calibration {
   #measure() {
     const count = this.#eyes.length;
     if (count < LEAST_SAMPLES) {
-      return { error: `The headset was hardly tracked (${count} samples, ${LEAST_SAMPLES} needed): try again.` };
+      return { error: `The headset lost tracking (${count} samples, ${LEAST_SAMPLES} needed): try again.` };
     }
     const middle = [0, 1, 2].map((axis) => median(this.#eyes.map((eye) => eye[axis])));
     const sorted = this.#eyes.map((eye) => [distance(eye, middle), eye[1]]).sort((a, b) => a[0] - b[0]);

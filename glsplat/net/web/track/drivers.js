@@ -110,11 +110,11 @@ export function parseRecording(text) {
       const sample = line && sampleOf(objectOf(line));
       if (sample && Number.isFinite(sample.t)) samples.push(sample);
     } catch (error) {
-      throw new Error(`The recording's line ${number}: ${error.message}`, { cause: error });
+      throw new Error(`Line ${number} of the recording: ${error.message}`, { cause: error });
     }
     start = end + 1;
   }
-  if (!samples.length) throw new Error('The recording holds no sample with a time.');
+  if (!samples.length) throw new Error('The recording has no sample with a time.');
   return samples;
 }
 

@@ -51,7 +51,7 @@ export class Recorder {
     const line = `${JSON.stringify(lineOf(sample, (tMs - (this.#first ?? tMs)) / 1000, extra))}\n`;
     if (this.#bytes + line.length > this.#limit) {
       this.recording = false;
-      this.word = `The recording is full (${this.count} samples, ${Math.round(this.seconds)} s): it has stopped.`;
+      this.word = `Recording stopped: it is full (${this.count} samples, ${Math.round(this.seconds)} s).`;
       return false;
     }
     this.#first ??= tMs;

@@ -180,7 +180,7 @@ def test_the_environment_names_the_installation(tmp_path, monkeypatch) -> None:
 
     refused("set GLSPLAT_LHM to the folder")
     monkeypatch.setenv("GLSPLAT_LHM", str(tmp_path))
-    refused("is no checkout of LHM, it has no folder LHM")
+    refused("is not a checkout of LHM: it has no folder LHM")
     (tmp_path / "LHM").mkdir()
     refused("no interpreter there; set GLSPLAT_LHM_PYTHON")
     python = tmp_path / ".venv" / "bin" / "python"

@@ -165,7 +165,7 @@ def test_what_does_not_belong_is_one_line(tmp_path) -> None:
         read_mask(path, PHOTO)
     for value, share in ((0, "0.0%"), (255, "100.0%")):
         Image.new("L", (60, 90), value).save(path)
-        with pytest.raises(FormatError, match=f"a.png: {share} of the mask are white, that is no person"):
+        with pytest.raises(FormatError, match=f"a.png: {share} of the mask are white, which is not a person"):
             read_mask(path, PHOTO)
     path.write_bytes(b"nonsense")
     with pytest.raises(FormatError, match="expected a photograph"):

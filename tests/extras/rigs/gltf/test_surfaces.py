@@ -188,7 +188,7 @@ def test_morph_targets_at_their_default_weights(tmp_path: Path) -> None:
         ({"material": {"pbrMetallicRoughness": 3}}, "material 0 is malformed"),
         ({"material": TEXTURED, "uri": "../a.png"}, "lies outside"),
         ({"material": TEXTURED, "uri": "%2e%2e/a.png"}, "lies outside"),
-        ({"material": TEXTURED, "uri": "a%00.png"}, "is no path of a file"),
+        ({"material": TEXTURED, "uri": "a%00.png"}, "is not the path of a file"),
         ({"material": TEXTURED, "uri": "data:image/png;base64,AAAA"}, "JPEG, PNG or WebP"),
         ({"indices": (0, 1, 9)}, "name 9"),
         ({"indices": (0, 1)}, "whole triangles"),

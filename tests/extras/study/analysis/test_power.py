@@ -83,7 +83,7 @@ def test_no_plan_no_effect_no_runs() -> None:
     mistakes: list[tuple[dict[str, Any], str]] = [
         ({"participants": 1}, "1 groups need 2 participants or more, not 1"),
         ({"participants": 3, "between": frozenset({"type"})}, "2 groups need 4"),
-        ({"between": frozenset({"colour"})}, "no factor is called 'colour'"),
+        ({"between": frozenset({"colour"})}, "no factor is named 'colour'"),
         ({"correlation": 1.0}, "correlation needs 0 or more"),
         ({"points": 1}, "2 to 1000 points"),
         ({"participants": 9999}, "at most 20000 answers"),
@@ -96,5 +96,5 @@ def test_no_plan_no_effect_no_runs() -> None:
             Planned(TYPE | METHOD, 12).means(effects)
     plan = Planned(TYPE, 4)
     for wrong in ({"runs": 0}, {"alpha": 0.0}, {"alpha": 1.0}):
-        with pytest.raises(FormatError, match="a run or more"):
+        with pytest.raises(FormatError, match="at least one run"):
             power(plan.draws({}), plan.table, **wrong)  # type: ignore[arg-type]

@@ -41,7 +41,7 @@ def test_the_page_keeps_what_has_to_wait(tmp_path: Path, monkeypatch: pytest.Mon
         said = await answering(client, tmp_path, [5, 10, 15, 20, 25])
         assert said["answers"] == {"mental": 25} == (await client.state())["answers"]
         assert said["unsaved"] == [] and said["refused"] == 0
-        assert "answers come faster than they are written down" in said["troubles"][0]
+        assert "answers arrive faster than they can be saved" in said["troubles"][0]
         assert 5 < said["sent"] < 25  # it does not hammer
         assert client.log().count("answer") == 5
 

@@ -42,7 +42,7 @@ export class Headset {
       session.requestAnimationFrame((now, frame) => this.#frame(now, frame));
     } catch (error) {
       button.disabled = false;
-      this.#say(`The headset does not let this page in: ${error.message}`, 'error');
+      this.#say(`Cannot enter VR: ${error.message}`, 'error');
     }
   }
 

@@ -40,7 +40,7 @@ const capital = (words) => `${words.charAt(0).toUpperCase()}${words.slice(1)}.`;
 
 async function file(path) {
   const response = await fetch(address(path));
-  if (!response.ok) throw new Error(`the file ${path} is not there (${response.status})`);
+  if (!response.ok) throw new Error(`cannot load ${path} (${response.status})`);
   return response;
 }
 

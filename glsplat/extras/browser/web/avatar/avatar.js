@@ -98,7 +98,7 @@ class Received {
   async have(size) {
     while (this.#size < size) {
       const { done, value } = await this.#chunks.next();
-      if (done) throw new BlobError('this avatar ends too early');
+      if (done) throw new BlobError('this avatar is truncated');
       if (this.#size + value.length > this.#store.length) {
         const grown = new Uint8Array(Math.max(2 * this.#store.length, this.#size + value.length));
         grown.set(this.bytes);

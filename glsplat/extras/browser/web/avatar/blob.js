@@ -14,8 +14,8 @@ const HEADER = 1 << 20; // bytes of it at most, unpacked
 export function headOf(bytes) {
   if (bytes.length < START) return null;
   const view = new DataView(bytes.buffer, bytes.byteOffset, START);
-  if (view.getUint32(0) !== 0x47534156) fail('this is no avatar: it does not begin with GSAV');
-  if (view.getUint16(4, true) !== 1) fail(`this avatar is of version ${view.getUint16(4, true)}; this page reads version 1`);
+  if (view.getUint32(0) !== 0x47534156) fail('not an avatar: it does not begin with GSAV');
+  if (view.getUint16(4, true) !== 1) fail(`this avatar has version ${view.getUint16(4, true)}; this page reads version 1`);
   const [packed, unpacked] = [view.getUint32(8, true), view.getUint32(12, true)];
   if (unpacked > HEADER || packed > HEADER) fail('the header of this avatar is larger than 1 MiB');
   return { end: START + packed, unpacked };
@@ -32,7 +32,7 @@ export async function openBlob(bytes) {
   try {
     header = JSON.parse(text);
   } catch {
-    fail('the header of this avatar is no JSON');
+    fail('the header of this avatar is not JSON');
   }
   const { joints } = checkHeader(header);
   let skeleton;
@@ -106,7 +106,7 @@ export async function shapesOf(header, part, count, bytes) {
   const data = await inflated(bytes, 2 * count + 13 * entries, 'shapes');
   const starts = new Uint32Array(count + 1);
   for (let i = 0; i < count; i++) starts[i + 1] = starts[i] + (data[i] | (data[count + i] << 8));
-  if (starts[count] !== entries) fail(`this avatar's shapes say ${entries} entries and count ${starts[count]}`);
+  if (starts[count] !== entries) fail(`this avatar's shapes state ${entries} entries and have ${starts[count]}`);
   const texels = new Uint32Array(4 * entries);
   const bytesOf = new Uint8Array(texels.buffer);
   const plane = (k) => 2 * count + k * entries;
@@ -145,7 +145,7 @@ async function inflated(bytes, size, what) {
     for (;;) {
       const { done, value } = await reader.read();
       if (done) break;
-      if (at + value.length > size) fail(`the ${what} of this avatar unpack to more than the ${size} bytes they say`);
+      if (at + value.length > size) fail(`the ${what} of this avatar unpack to more than the stated ${size} bytes`);
       out.set(value, at);
       at += value.length;
     }

@@ -72,7 +72,7 @@ export class AvatarCache {
       one.whole = true;
     } catch (error) {
       await (await store())?.delete(keyOf(sha256)).catch(() => {}); // it may be damaged
-      Object.assign(one, { avatar: null, why: `the avatar did not come: ${error.message}`, until: performance.now() + PAUSE });
+      Object.assign(one, { avatar: null, why: `the avatar did not load: ${error.message}`, until: performance.now() + PAUSE });
     }
   }
 

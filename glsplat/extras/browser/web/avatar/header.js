@@ -32,7 +32,7 @@ export function checkHeader(header) {
   const count = joints?.parents?.length;
   check(isObject(joints) && whole(count, 1, MOST.joints) && Array.isArray(joints.parents), `no joints, or more than ${MOST.joints}`);
   check(Array.isArray(joints.names) && joints.names.length === count && joints.names.every(text), 'joints without names');
-  check(joints.parents.every((parent) => whole(parent, -1, count - 1)), 'a joint that hangs from none of its joints');
+  check(joints.parents.every((parent) => whole(parent, -1, count - 1)), 'a joint with an unknown parent');
   check(numbers(joints.rest, 12 * count) && numbers(joints.inverse_bind, 12 * count), 'joints without 12 finite numbers each');
   if (shapes !== null) {
     const size = shapes?.names?.length;
@@ -40,7 +40,7 @@ export function checkHeader(header) {
     check(Array.isArray(shapes.names) && shapes.names.every(text), 'shapes without names');
     check(numbers(shapes.sizes, size) && numbers(shapes.limits, 2 * size), 'shapes without sizes and limits');
     const holds = shapes.names.every((_, k) => shapes.limits[2 * k] <= 0 && shapes.limits[2 * k + 1] >= 0);
-    check(holds, 'limits of a shape that do not hold 0 between them');
+    check(holds, 'limits of a shape that do not include 0');
   }
   check(Array.isArray(parts) && whole(parts.length, 1, MOST.parts), `no parts, or more than ${MOST.parts}`);
   let end = 0; // end of the last part, bytes after the header
@@ -48,7 +48,7 @@ export function checkHeader(header) {
   for (const part of parts) {
     check(isObject(part) && whole(part.level, 0, MOST.parts), 'a part without a level');
     for (const [name, value] of Object.entries(ABSENT)) part[name] ??= value;
-    check(part.offset === end && whole(part.bytes, 1, MOST.bytes), 'a part that does not lie behind the one before');
+    check(part.offset === end && whole(part.bytes, 1, MOST.bytes), 'a part that does not follow the previous one');
     end += part.bytes;
     check(end <= MOST.bytes, `more than ${MOST.bytes >> 20} MiB of parts`);
     if (part.kind === 'splats') {
@@ -56,7 +56,7 @@ export function checkHeader(header) {
       check(!levels.has(part.level), 'two parts of one level');
       check(numbers(part.low, 3) && numbers(part.high, 3), 'splats without a box');
       check(numbers(part.scales, 2, LOGS) && numbers(part.colours, 6), 'splats without scales and colours');
-      check(numbers(part.sh, header.sh_degree), 'splats without a size of each band');
+      check(numbers(part.sh, header.sh_degree), 'splats without a scale of each SH degree');
       check(part.level === 0 || (typeof part.density === 'number' && part.density >= 0), 'a level without its density');
       levels.set(part.level, part.splats);
     } else if (part.kind === 'surface') {
@@ -64,7 +64,7 @@ export function checkHeader(header) {
       check(typeof part.shaded === 'boolean', 'a shaded that is not true or false');
     } else {
       check(part.kind === 'shapes' && shapes !== null && levels.has(part.level), 'a part that is neither splats nor their shapes nor their surface');
-      check(whole(part.entries, 0, MOST.entries), 'more entries of shapes than there may be');
+      check(whole(part.entries, 0, MOST.entries), 'too many entries of shapes');
     }
   }
   check(levels.has(0), 'no finest level');

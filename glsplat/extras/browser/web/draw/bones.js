@@ -100,7 +100,7 @@ function parentsFirst(parents) {
   const depth = new Int32Array(parents.length);
   for (let j = 0; j < parents.length; j++) {
     for (let k = parents[j]; k >= 0; k = parents[k]) {
-      if (++depth[j] > parents.length) throw new Error('the skeleton is a circle of joints');
+      if (++depth[j] > parents.length) throw new Error('the joints of the skeleton form a cycle');
     }
   }
   return Array.from(depth.keys()).sort((a, b) => depth[a] - depth[b]);
@@ -142,7 +142,7 @@ function determinant(m, at) {
 function inverse(m) {
   const [a, b, c, x, d, e, f, y, g, h, i, z] = m;
   const k = 1 / determinant(m, 0);
-  if (!Number.isFinite(k)) throw new Error('a joint of the skeleton has no inverse');
+  if (!Number.isFinite(k)) throw new Error('the matrix of a joint is not invertible');
   const r = [
     k * (e * i - f * h), k * (c * h - b * i), k * (b * f - c * e),
     k * (f * g - d * i), k * (a * i - c * g), k * (c * d - a * f),

@@ -8,7 +8,7 @@ const PAUSE = 60_000; // ms before another try; doubles each time
 
 export class Choice {
   here = false; // this device draws
-  reason = 'pictures come first'; // of the choice, in words
+  reason = 'sessions start with its pictures'; // of the choice, in words
   #wish;
   #display = 60; // Hz
   #times = []; // ms, frames of the last two seconds

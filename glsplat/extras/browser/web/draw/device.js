@@ -11,10 +11,10 @@ export function look(gl) {
   for (const name of ['EXT_color_buffer_float', 'EXT_float_blend', 'EXT_color_buffer_half_float']) gl.getExtension(name);
   const info = gl.getExtension('WEBGL_debug_renderer_info');
   const renderer = `${gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER)}`;
-  if (gl.getParameter(gl.MAX_TEXTURE_SIZE) < WIDEST) return nothing(`the textures of this device end at ${gl.getParameter(gl.MAX_TEXTURE_SIZE)} texels`);
+  if (gl.getParameter(gl.MAX_TEXTURE_SIZE) < WIDEST) return nothing(`textures of this device have at most ${gl.getParameter(gl.MAX_TEXTURE_SIZE)} texels a side`);
   if (!unpacks()) return nothing('this browser cannot unpack avatars (DecompressionStream)');
   const kinds = ['16f', '8'].filter((kind) => complete(gl, gl[KINDS[kind]]));
-  return { why: kinds.length ? '' : 'this device blends into no texture', kinds, software: SOFTWARE.test(renderer), renderer };
+  return { why: kinds.length ? '' : 'this device cannot blend into textures', kinds, software: SOFTWARE.test(renderer), renderer };
 }
 
 const nothing = (why) => ({ why, kinds: [], software: false, renderer: '' });

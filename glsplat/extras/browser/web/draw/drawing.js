@@ -232,7 +232,7 @@ export class Drawing {
   }
 
   #checkMemory() {
-    if (this.#gl.getError() === this.#gl.OUT_OF_MEMORY) throw new Error('it has not enough memory for these splats');
+    if (this.#gl.getError() === this.#gl.OUT_OF_MEMORY) throw new Error('not enough memory for these splats');
   }
 
   /** Programs and work buffers for so many views and splats. */

@@ -150,9 +150,9 @@ export class Here {
 
   /** Return why nothing can be drawn here, in words, or ''. */
   #why(now) {
-    if (!this.#offer) return 'the server hands out no splats of this avatar';
+    if (!this.#offer) return 'the server does not hand out the splats of this avatar';
     if (this.#refused) return this.#refused;
-    if (this.people.room?.people.some(({ sha256 }) => sha256 === null)) return 'not everybody here hands out splats';
+    if (this.people.room?.people.some(({ sha256 }) => sha256 === null)) return 'the splats of somebody here are not handed out';
     if (!this.#own) {
       this.#own = new Own(this.#gl);
       this.#own.open(async () => (await fetch(new URL('../draw/programs.json', import.meta.url))).json());
@@ -160,7 +160,7 @@ export class Here {
     if (this.#own.why) return this.#own.why;
     const avatar = this.cache.get(this.#offer.sha256, now);
     if (this.cache.why(this.#offer.sha256)) return this.cache.why(this.#offer.sha256);
-    return avatar && this.#own.ready ? '' : 'the avatar is on its way';
+    return avatar && this.#own.ready ? '' : 'the avatar is loading';
   }
 }
 

@@ -20,21 +20,21 @@ const TORN = 1000; // ms; a larger jump restarts a clock
 export function parsePoses(buffer) {
   const view = new DataView(buffer);
   if (view.byteLength < 14 || view.getUint16(0, true) !== MAGIC || view.getUint16(2, true) !== 1 || view.getUint8(8)) {
-    throw new Error('no reply in poses of version 1');
+    throw new Error('not a pose reply of version 1');
   }
   const start = 13 + view.getUint32(9, true);
-  if (start >= view.byteLength) throw new Error('a reply in poses that ends early');
+  if (start >= view.byteLength) throw new Error('truncated pose reply');
   const info = json(new Uint8Array(buffer, 13, start - 13));
-  if (info?.want !== 'pose') throw new Error('a reply that is not in poses');
+  if (info?.want !== 'pose') throw new Error('the reply has no poses');
   const bodies = [];
   let offset = start + 1;
   for (let n = view.getUint8(start); n > 0; n--) {
     const size = offset + HEAD <= view.byteLength ? view.getUint16(offset, true) : 0;
-    if (size < HEAD || offset + size > view.byteLength) throw new Error('a body that ends early');
+    if (size < HEAD || offset + size > view.byteLength) throw new Error('truncated body');
     bodies.push(body(new DataView(buffer, offset, size)));
     offset += size;
   }
-  if (offset !== view.byteLength) throw new Error('more behind the bodies than there should be');
+  if (offset !== view.byteLength) throw new Error('extra bytes after the bodies');
   return { id: view.getUint32(4, true), info, bodies };
 }
 
@@ -42,7 +42,7 @@ function json(bytes) {
   try {
     return JSON.parse(new TextDecoder('utf-8', { fatal: true }).decode(bytes));
   } catch {
-    throw new Error('a reply in poses without its JSON object');
+    throw new Error('pose reply without its JSON object');
   }
 }
 
@@ -52,7 +52,7 @@ function body(view) {
   const face = HEAD + 8 * joints;
   const stretch = face + (flags & EXPRESSION ? SHAPES : 0);
   const least = stretch + (flags & TRANSLATIONS ? 2 : 0);
-  if (!joints || least > view.byteLength) throw new Error(`a body of ${joints} joints that ends early`);
+  if (!joints || least > view.byteLength) throw new Error(`truncated body of ${joints} joints`);
   const floats = (at, count) => Float32Array.from({ length: count }, (_, i) => view.getFloat32(at + 4 * i, true));
   const t = view.getFloat64(20, true);
   const place = floats(64, 8);
@@ -72,13 +72,13 @@ function body(view) {
   };
   for (let i = 0; i < 4 * joints; i++) made.joints[i] = view.getInt16(HEAD + 2 * i, true);
   for (let i = 0; i < 4 * joints; i += 4) {
-    if (!unit(made.joints, i)) throw new Error('a body with a rotation that is none');
+    if (!unit(made.joints, i)) throw new Error('a body with an invalid rotation');
   }
   if (made.expression) for (let i = 0; i < SHAPES; i++) made.expression[i] = view.getUint8(face + i) / 255;
   const numbers = [made.at, ...place, ...made.root, ...(made.translations ?? [])];
   const turn = Math.hypot(...made.place.rotation);
   if (!numbers.every(near) || !(place[7] >= SMALLEST) || !(turn > 0.9 && turn < 1.1)) {
-    throw new Error('a body that stands nowhere');
+    throw new Error('a body with an invalid position');
   }
   unit(made.place.rotation, 0);
   return made;
@@ -87,11 +87,11 @@ function body(view) {
 /** Return the translations [3 J] of all joints; only a few are stored. */
 function moved(view, start, joints) {
   const count = view.getUint16(start, true);
-  if (start + 2 + 14 * count > view.byteLength) throw new Error(`a body of ${count} joints that are moved ends early`);
+  if (start + 2 + 14 * count > view.byteLength) throw new Error(`truncated body of ${count} moved joints`);
   const out = new Float32Array(3 * joints);
   for (let at = start + 2; at < start + 2 + 14 * count; at += 14) {
     const joint = view.getUint16(at, true);
-    if (joint >= joints) throw new Error(`joint ${joint} of ${joints} is moved`);
+    if (joint >= joints) throw new Error(`moved joint ${joint} does not exist (${joints} joints)`);
     for (let k = 0; k < 3; k++) out[3 * joint + k] = view.getFloat32(at + 2 + 4 * k, true);
   }
   return out;

@@ -43,7 +43,7 @@ async function look() {
     now(stats.clients, sentLast, avatars);
     await people(avatars);
   } catch (error) {
-    $('trouble').textContent = `The server does not answer (${error.message}); what stands here is old. It is asked again.`;
+    $('trouble').textContent = `The server does not answer (${error.message}); these figures are old. Trying again.`;
   }
   setTimeout(look, document.hidden ? 5 * PAUSE : PAUSE);
 }

@@ -3,8 +3,8 @@
 import { Hurry } from './hurry.js';
 import { Voice } from './voice.js';
 
-const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser: only how the mouth stands is sent.';
-const STATES = { off: '', asking: 'The browser asks whether it may listen…', on: 'Listening.', muted: 'Muted.', refused: '' };
+const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser: only the shape of the mouth is sent.';
+const STATES = { off: '', asking: 'Waiting for permission to use the microphone…', on: 'Listening.', muted: 'Muted.', refused: '' };
 
 /**
  * Insert the controls after `place`, an element; request smaller pictures of `stage` while the user speaks. Return the
@@ -33,7 +33,7 @@ export function addVoice(place, stage) {
     mute.hidden = !open;
     mute.textContent = voice.state === 'muted' ? 'Unmute' : 'Mute';
     mute.setAttribute('aria-pressed', String(voice.state === 'muted'));
-    state.textContent = voice.why ? `It does not listen: ${voice.why}.` : STATES[voice.state];
+    state.textContent = voice.why ? `Not listening: ${voice.why}.` : STATES[voice.state];
   };
   talk.addEventListener('click', () => (voice.state === 'on' || voice.state === 'muted' ? voice.stop() : voice.start()));
   mute.addEventListener('click', () => voice.mute(voice.state === 'on'));

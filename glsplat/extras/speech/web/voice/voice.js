@@ -50,11 +50,11 @@ export class Voice extends EventTarget {
       await context.resume();
       if (round !== this.#round) return drop();
       [this.#stream, this.#context] = [stream, context];
-      stream.getTracks().forEach((track) => (track.onended = () => this.stop('the microphone is gone')));
+      stream.getTracks().forEach((track) => (track.onended = () => this.stop('the microphone was disconnected')));
       this.#become('on');
     } catch (error) {
       drop();
-      if (round === this.#round) this.#become('refused', error.name === 'NotAllowedError' ? 'the microphone is not allowed' : error.message);
+      if (round === this.#round) this.#become('refused', error.name === 'NotAllowedError' ? 'the browser does not allow the microphone' : error.message);
     }
   }
 

@@ -9,7 +9,7 @@ export function content(state, questions, left, trouble) {
   if (!state) return { kind: 'wait', text: trouble || 'Please wait…', cells: [] };
   const heading = state.ended ? state.title : `${state.title} · ${state.number} of ${state.of}`;
   if (state.ended) return { kind: 'ended', heading, text: ending(state.ended), cells: [] };
-  if (state.paused) return { kind: 'paused', heading, text: 'Please wait. The experimenter has stopped the time.', cells: [] };
+  if (state.paused) return { kind: 'paused', heading, text: 'Please wait. The experimenter has paused the session.', cells: [] };
   if (state.kind === 'consent') {
     const cells = [button('decline', 'I do not agree', 0), button('agree', 'I agree', 2)];
     return { kind: state.step, heading, text: state.text, cells };
@@ -40,7 +40,7 @@ function question(questions, trouble) {
   if (item.kind === 'choice') {
     cells.push(...column(item.labels.map((label) => ({ id: `value:${label}`, label, chosen: label === answer }))));
   } else if (item.kind === 'text') {
-    return { kind: questions.step, heading, text: `${item.text}\n(to be written on the page)`, cells };
+    return { kind: questions.step, heading, text: `${item.text}\n(answer this on the page)`, cells };
   } else {
     cells.push(...row(values(item).map((value, i) => ({
       id: `value:${value}`, label: wording(item, value, i), chosen: value === answer,
@@ -69,7 +69,7 @@ function wording({ labels, kind, from, to }, value, i) {
 export const seconds = (left) => (left === null ? '' : `${Math.max(0, Math.ceil(left))}`);
 
 export function ending(ended) {
-  if (ended === 'done') return 'This was all. Thank you! You may take the headset off.';
-  if (ended === 'declined') return 'You did not agree, so nothing more is asked or recorded. Thank you.';
+  if (ended === 'done') return 'That was all. Thank you! You may take the headset off.';
+  if (ended === 'declined') return 'You did not agree, so nothing more will be asked or recorded. Thank you.';
   return 'The session has ended. Thank you.';
 }

@@ -46,7 +46,7 @@ export class Form {
 
   #built(state) {
     if (state.ended) return [this.#text(ending(state.ended))];
-    if (state.paused) return [this.#text('Please wait. The experimenter has stopped the time.')];
+    if (state.paused) return [this.#text('Please wait. The experimenter has paused the session.')];
     if (state.kind === 'consent') {
       const text = this.#text(state.text, 'text consent');
       text.tabIndex = 0; // lets the keyboard scroll it
@@ -133,7 +133,7 @@ export class Form {
     const { saving, trouble } = this.#questions;
     const why = saving ? `Not saved yet: ${trouble}. Trying again.` : `Not saved: ${trouble}.`;
     if (saved) saved.textContent = trouble ? why : saving ? 'Saving…' : '';
-    const words = this.#complaint || (state.trouble ? 'The server cannot write to its disk just now.' : '');
+    const words = this.#complaint || (state.trouble ? 'The server cannot write to its disk right now.' : '');
     this.#get('status').dataset.level = words ? 'error' : 'info';
     this.#set('status', words || 'Connected');
   }

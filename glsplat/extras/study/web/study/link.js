@@ -38,7 +38,7 @@ export class Link {
     }
     if (response.ok) return response;
     const text = await response.text().catch(() => '');
-    let error = { code: 'refused', message: text.trim() || `the server refuses (${response.status})` };
+    let error = { code: 'refused', message: text.trim() || `the server refused (${response.status})` };
     try {
       error = JSON.parse(text).error ?? error;
     } catch {
@@ -51,7 +51,7 @@ export class Link {
   async ask(path, message) {
     const response = await this.#post(path, message);
     return response.json().catch(() => {
-      throw new Refusal(0, 'lost', 'the connection broke');
+      throw new Refusal(0, 'lost', 'the connection was lost');
     });
   }
 

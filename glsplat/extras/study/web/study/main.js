@@ -36,7 +36,7 @@ let spoken = '';
 let elsewhere = false;
 
 if (!gl) {
-  document.getElementById('status').textContent = 'This browser has no WebGL 2, which the page draws with.';
+  document.getElementById('status').textContent = 'This page needs WebGL 2, which this browser lacks.';
   throw new Error('no WebGL 2');
 }
 connection.token = token;
@@ -183,7 +183,7 @@ async function follow() {
       take(found);
       if (found.ended) await pause(3);
     } catch (refusal) {
-      say(refusal.status === 403 ? 'This page needs the link that the study was started with.' : refusal.message);
+      say(refusal.status === 403 ? 'Open the link that the study printed at its start.' : refusal.message);
       if (refusal.code === 'enter' || refusal.status === 0) entered = false;
       if (refusal.code === 'elsewhere') {
         elsewhere = true;
@@ -208,7 +208,7 @@ button.addEventListener('click', async () => {
     await immersive.enter('vr');
   } catch (error) {
     viewer.start();
-    say(`the headset does not let this page in: ${error.message}`);
+    say(`cannot enter VR: ${error.message}`);
   }
 });
 

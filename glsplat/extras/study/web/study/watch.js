@@ -21,7 +21,7 @@ function show(found) {
   get('title').textContent = `${found.study}: ${found.participant}`;
   const trouble = found.trouble || (found.lost_lines ? `${found.lost_lines} lines of tracking were lost` : '');
   const words = found.ended ? `The session has ended: ${WORDS[found.ended]}.`
-    : found.paused ? 'Paused.' : found.present ? 'Under way.' : 'The participant’s page is not there.';
+    : found.paused ? 'Paused.' : found.present ? 'Running.' : 'The participant’s page is not connected.';
   say(trouble ? `${words} ${trouble}` : words, trouble || (!found.present && !found.ended) ? 'error' : 'info');
   const { figures } = found;
   const number = (value, unit) => (value === undefined ? '–' : `${value.toFixed(1)} ${unit}`);
@@ -36,7 +36,7 @@ function show(found) {
     Pictures: number(figures.fps, '/s'),
     'Their age': number(figures.age_ms, 'ms'),
   });
-  get('pause').textContent = found.paused ? 'Go on' : 'Pause';
+  get('pause').textContent = found.paused ? 'Continue' : 'Pause';
   for (const id of ['pause', 'repeat']) get(id).disabled = Boolean(found.ended);
   list('notes', found.notes.map(({ t, text }) => `${Math.floor(t)} s: ${text}`));
   list('steps', found.steps);
@@ -89,7 +89,7 @@ async function follow() {
       show(await link.ask('study/watch', { after: state?.revision ?? -1 }));
       failures = 0;
     } catch (refusal) {
-      say(refusal.status === 403 ? 'This page needs the experimenter’s link.' : refusal.message, 'error');
+      say(refusal.status === 403 ? 'Open the experimenter’s link that the study printed.' : refusal.message, 'error');
       if (refusal.status === 401 || refusal.status === 403) return;
       state = null;
       await pause(failures++, refusal);

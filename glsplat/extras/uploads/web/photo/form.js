@@ -109,13 +109,13 @@ export class PhotoForm {
     if (this.#upload.busy) return;
     const [height, wrong] = this.#height();
     if (!this.#front()) return this.#warn('Choose or take a picture from the front first.', 'photo-front');
-    if (wrong) return this.#warn('The height needs metres from 0.5 to 2.8, such as 1.75.', 'photo-height');
+    if (wrong) return this.#warn('Enter the height in metres from 0.5 to 2.8, such as 1.75.', 'photo-height');
     const title = this.#get('photo-name').value.trim() || titleOf(this.#front().name);
     if (!NAME.test(title)) {
-      return this.#warn('The name needs up to 32 letters and digits, blanks between them.', 'photo-name');
+      return this.#warn('Enter a name of up to 32 letters and digits, with blanks between them.', 'photo-name');
     }
     if (!this.#get('photo-consent').checked) {
-      return this.#warn('Say first that this is you, or that this person agreed.', 'photo-consent');
+      return this.#warn('First confirm that this is you or that this person agreed.', 'photo-consent');
     }
     this.#warn('');
     const button = this.#get('photo-make');
@@ -217,13 +217,13 @@ export class PhotoForm {
   #words() {
     const { state, share, ahead, steps, error, findings, later } = this.#upload.now;
     if (state === 'sending') return `Sending the picture: ${Math.round(100 * share)} %`;
-    if (state === 'waiting') return ahead ? `Waiting for ${ahead} before you` : 'Waiting to begin';
+    if (state === 'waiting') return ahead ? `Waiting: ${ahead} ahead of you` : 'Waiting to start';
     if (state === 'making') return `${capital(steps.at(-1) ?? 'beginning')}…`;
     if (state === 'done' && findings.length) return 'Your avatar is ready. A better picture would make a better one:';
     if (state === 'done') return 'Your avatar is ready.';
     if (state === 'failed' && later) return capital(later);
-    if (state === 'failed' && findings.length) return 'The picture may not do:';
-    return state === 'failed' ? `It did not work: ${error}` : '';
+    if (state === 'failed' && findings.length) return 'The picture may not be suitable:';
+    return state === 'failed' ? `It failed: ${error}` : '';
   }
 
   #list(id, lines) {

@@ -90,7 +90,7 @@ export class Upload extends EventTarget {
         unanswered = 0;
         this.#become(answer);
       } else if (response?.status === 404) {
-        this.#become({ state: 'failed', error: 'the server has forgotten it; send the picture again' });
+        this.#become({ state: 'failed', error: 'the server no longer has it; send the picture again' });
       } else if (++unanswered >= PATIENCE) {
         this.#become({ state: 'failed', error: 'the server does not answer' });
       }
