@@ -101,14 +101,14 @@ def _speed(quick: bool, tell: Tell) -> Iterator[Step]:
         if one > _TOO_SLOW_MS:
             return {"size": size, "left_out": f"a frame takes {one / 1000:.1f} s"}
         frames = int(min(60, max(3, 1000 * _SECONDS_A_SIZE[quick] / (_RUNS_A_FRAME * one))))
-        return batching(context, subject, frames, lambda _: tell(""))
+        return batching(context, subject, frames)
 
     for size in PAPER:
         yield Step(f"2 x {size}x{size}", lambda size=size: measured(size))  # type: ignore[misc]
 
 
 def _stream(quick: bool, tell: Tell) -> Iterator[Step]:
-    yield Step("raw tracking to JPEG", lambda: latency.measure(quick, lambda _: tell("")))
+    yield Step("raw tracking to JPEG", lambda: latency.measure(quick))
 
 
 def _largest(quick: bool, tell: Tell) -> Iterator[Step]:
