@@ -36,7 +36,8 @@ FLOORS = [
 WITHIN = {
     "renderer": [
         ["checks", "frame_block", "levels", "owned", "stats"],
-        ["lru_cache", "project", "sort", "stage"],
+        ["bounds", "lru_cache", "project", "sort"],
+        ["stage"],
         ["gpu_sort", "skin", "targets"],
         ["mesh_buffers"],
         ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],

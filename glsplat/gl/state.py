@@ -93,8 +93,9 @@ _ENABLE_ONLY = {  # switches that moderngl tracks itself
     0x8C89: moderngl.RASTERIZER_DISCARD,
     0x8642: moderngl.PROGRAM_POINT_SIZE,
 }
-_ALL = sum(_ENABLE_ONLY.values())
-_UNITS = tuple(sorted(set(UNITS.values())))  # of the passes
+_ARRAY_UNITS = (UNITS["target"], UNITS["depth_sum"])  # where array textures are bound
+_SPLAT_UNITS = (0, 1, 2)
+_MESH_UNITS = tuple(sorted(set(UNITS.values()) - set(_SPLAT_UNITS)))  # of the passes of meshes alone
 _STORAGE_SLOTS = range(5)  # of the GPU sorter; the draw reads records from the first
 _UNIFORM, _STORAGE = (0x8A11, 0x8A28), (0x90D2, 0x90D3)  # target, binding
 _FILL, _ADD, _LEQUAL, _LAST_VERTEX, _FIXED_ONLY = 0x1B02, 0x8006, 0x0203, 0x8E4E, 0x891D
@@ -146,7 +147,7 @@ class Snapshot(NamedTuple):
     floats: tuple[float, ...]  # clear colour, clear depth, depth range
     pixel_store: tuple[int, ...]
     switches: tuple[int, ...]
-    units: tuple[tuple[int, int, int, int], ...]  # unit; 2D texture, 2D array texture, sampler
+    units: list[tuple[int, int, int, int]]  # unit; 2D texture, 2D array texture, sampler
     slots: tuple[tuple[int, int, int, int, int, int], ...]  # target, binding, index; buffer, start, size
     framebuffer: Any  # as moderngl knows it
     native: Any
@@ -179,6 +180,8 @@ class GLState:
         self._pixel_reads = [(enum, _P(here + 4 * (start + i))) for i, enum in enumerate(_PIXEL_STORE)]
         self._switches = [(enum, needed) for enum, (needed, least) in _SWITCHES.items() if version >= least]
         self._slots = [(*_UNIFORM, 0)]
+        self._units: tuple[int, ...] = _SPLAT_UNITS
+        self._saved: list[tuple[int, int, int, int]] = []  # the units of the last snapshot
         self._version = version
         self._own = ctypes.c_uint(0)  # own transform feedback, which keeps the user's slots unchanged
         if version >= 400:
@@ -194,6 +197,14 @@ class GLState:
         """Also save and restore the shader storage slots of the GPU sorter and the draw."""
         self._slots = [(*_UNIFORM, 0)] + [(*_STORAGE, i) for i in _STORAGE_SLOTS if self._version >= 430]
 
+    def include_meshes(self) -> None:
+        """Also save and restore the texture units of meshes; from now on, the present frame included."""
+        if self._units == _SPLAT_UNITS:
+            self._units = _SPLAT_UNITS + _MESH_UNITS
+            found = self._read_units(_MESH_UNITS)
+            self._saved += found
+            self._unbind_samplers(found)
+
     def release(self) -> None:
         """Delete the own transform feedback."""
         if self._own.value:
@@ -202,7 +213,7 @@ class GLState:
 
     def _read(self) -> Snapshot:
         gl, integers = self._gl, self._integers
-        get, enabled, active = self._get, self._enabled, gl["ActiveTexture"]
+        get, enabled = self._get, self._enabled
         for enum, pointer in self._reads:
             get(enum, pointer)
         for enum, pointer in self._pixel_reads:
@@ -213,14 +224,8 @@ class GLState:
         gl["GetFloatv"](0x0B70, ctypes.byref(floats, 20))  # GL_DEPTH_RANGE
         switches = tuple([enabled(enum) for enum, _ in self._switches])
         values = tuple(integers[:])
-        units = []
-        for unit in _UNITS:
-            active(0x84C0 + unit)
-            get(0x8069, integers)  # GL_TEXTURE_BINDING_2D, _2D_ARRAY, GL_SAMPLER_BINDING
-            get(0x8C1D, ctypes.byref(integers, 4))
-            get(0x8919, ctypes.byref(integers, 8))
-            units.append((unit, integers[0], integers[1], integers[2]))
-        active(values[self._at["active_texture"]])
+        self._saved = self._read_units(self._units)
+        gl["ActiveTexture"](values[self._at["active_texture"]])
         slots = []
         for target, binding, index in self._slots:
             where = [0, 0, 0]  # buffer, start, size
@@ -236,19 +241,34 @@ class GLState:
             tuple(floats),
             values[self._count : end],
             switches,
-            tuple(units),
+            self._saved,
             tuple(slots),
             self._ctx.fbo,
             self._ctx.mglo.fbo,
         )
+
+    def _read_units(self, units: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
+        """Return the bindings of texture units. Another unit is active afterwards."""
+        get, integers, found = self._get, self._integers, []
+        for unit in units:
+            self._gl["ActiveTexture"](0x84C0 + unit)
+            get(0x8069, integers)  # GL_TEXTURE_BINDING_2D, _2D_ARRAY, GL_SAMPLER_BINDING
+            get(0x8919, ctypes.byref(integers, 8))
+            if unit in _ARRAY_UNITS:
+                get(0x8C1D, ctypes.byref(integers, 4))
+            found.append((unit, integers[0], integers[1], integers[2]))
+        return found
+
+    def _unbind_samplers(self, units: list[tuple[int, int, int, int]]) -> None:
+        for unit, _, _, sampler in units:
+            if sampler:
+                self._gl["BindSampler"](unit, 0)
 
     def _neutral(self, was: Snapshot) -> None:
         gl, at, values = self._gl, self._at, was.integers
         for (switch, wanted), on in zip(self._switches, was.switches, strict=True):
             if wanted is not None and wanted != on:
                 gl["Enable" if wanted else "Disable"](switch)
-        # moderngl skips switches that it believes set: all on, then all off makes its record true
-        self._ctx.enable_only(_ALL)
         self._ctx.enable_only(moderngl.NOTHING)
         for (enum, need), value in zip(_PIXEL_STORE.items(), was.pixel_store, strict=True):
             if need is not None and need != value:
@@ -256,9 +276,7 @@ class GLState:
         for name, target in (("pack_buffer", 0x88EB), ("unpack_buffer", 0x88EC)):
             if values[at[name]]:
                 gl["BindBuffer"](target, 0)
-        for unit, _, _, sampler in was.units:
-            if sampler:
-                gl["BindSampler"](unit, 0)
+        self._unbind_samplers(was.units)
         mode = at["polygon_mode"]
         if values[mode] != _FILL:
             gl["PolygonMode"](0x0408, _FILL)  # GL_FRONT_AND_BACK
@@ -295,7 +313,6 @@ class GLState:
                 flags |= _ENABLE_ONLY[switch] if on else 0
             elif wanted != on:
                 gl["Enable" if on else "Disable"](switch)
-        ctx.enable_only(moderngl.NOTHING)
         ctx.enable_only(flags)
         gl["BindFramebuffer"](0x8CA9, alive("IsFramebuffer", draw))
         gl["BindFramebuffer"](0x8CA8, alive("IsFramebuffer", read))
@@ -325,7 +342,8 @@ class GLState:
         for unit, flat, layered, sampler in was.units:
             gl["ActiveTexture"](0x84C0 + unit)
             gl["BindTexture"](0x0DE1, alive("IsTexture", flat))
-            gl["BindTexture"](0x8C1A, alive("IsTexture", layered))
+            if unit in _ARRAY_UNITS:
+                gl["BindTexture"](0x8C1A, alive("IsTexture", layered))
             if sampler:
                 gl["BindSampler"](unit, alive("IsSampler", sampler))
         gl["ActiveTexture"](value("active_texture"))

@@ -14,12 +14,16 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.camera import Camera
+from glsplat.config import RenderConfig
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
+from glsplat.renderer.bounds import covered_pixels
 from glsplat.renderer.lru_cache import LruCache, Sized
 from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement, SkinPass, near_eye
 from glsplat.renderer.stage import NEAR_M, ROW, ItemBuffers, numbers_of, rows_of, upload_rows, write_rows
+from glsplat.renderer.stats import Box
 from glsplat.shaders import Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
@@ -179,6 +183,13 @@ class Arena:
                 self._write(index, placement)
                 self._written[index] = placement
         return self.version != before
+
+    def covered(self, views: Sequence[Camera], config: RenderConfig) -> Box:
+        """Return a box that holds all pixels of the shown items, from their bones (bounds.py)."""
+        still = Placement(np.eye(4))
+        placed = [(self.items[index], self._written[index] or still) for index in self.shown]
+        bounds = (i.bounds(config.max_sigma).posed(at.transform, at.bones, at.weights) for i, at in placed)
+        return covered_pixels(views, bounds, config)
 
     def use(self) -> None:
         """Bind the textures for the passes of a frame."""

@@ -52,7 +52,12 @@ class BackgroundPass:
         self._array: moderngl.VertexArray | None = None
 
     def run(self, target: Target, cameras: Sequence[Camera], box: Box) -> None:
-        """Fill ``box`` of all layers with each view's background and alpha 0."""
+        """Bind the target and fill ``box`` of all layers with each view's background and alpha 0.
+
+        With depth all pixels are read, so all are filled.
+        """
+        target.framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)  # the passes that follow switch off again what they switch on
         colours = {camera.background for camera in cameras}
         variant = self._variant
         if len(colours) == 1 and not (variant.depth or variant.occluded or variant.sampled):
@@ -61,9 +66,9 @@ class BackgroundPass:
         if self._array is None:
             program = self._programs.draw("screen", "background", self._variant)
             self._array = self._ctx.vertex_array(program, [])
-        target.framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        self._array.render(moderngl.TRIANGLES, vertices=3, instances=self._variant.views)
+        self._ctx.viewport = (0, 0, target.shape[2], target.shape[1]) if variant.depth else box
+        self._array.render(moderngl.TRIANGLES, vertices=3, instances=variant.views)
+        self._ctx.viewport = (0, 0, target.shape[2], target.shape[1])
 
     def release(self) -> None:
         """Delete the vertex array."""
@@ -105,18 +110,21 @@ class DrawPass:
                 if begin:
                     self._ctx.finish()
                     between()
+                    target.framebuffer.use()
                 self._begin_at(begin)
-                self.run(target, end, begin)
+                self.run(end, begin)
                 begin = end
         finally:
             self._begin_at(0)
 
-    def run(self, target: Target, end: int, begin: int = 0, indirect: moderngl.Buffer | None = None) -> None:
-        """Blend records ``begin`` to ``end`` in order; ``indirect`` holds their number if only the GPU knows it."""
-        target.framebuffer.use()
+    def run(self, end: int, begin: int = 0, indirect: moderngl.Buffer | None = None) -> None:
+        """Blend records ``begin`` to ``end`` in order into the target that the background pass has bound.
+
+        ``indirect`` holds their number if only the GPU knows it.
+        """
         if begin == end:
             return
-        self._ctx.enable_only(moderngl.BLEND)
+        self._ctx.enable(moderngl.BLEND)
         self._ctx.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         if self._variant.pulled:
             self._records.bind_to_storage_buffer(0)
@@ -126,7 +134,7 @@ class DrawPass:
             self._pull(begin, end)
         else:
             self._array.render(self._mode, vertices=self._corners, instances=(end - begin) * self._variant.views)
-        self._ctx.enable_only(moderngl.NOTHING)
+        self._ctx.disable(moderngl.BLEND)
 
     def _pull(self, begin: int, end: int) -> None:
         vertices = self._corners * self._variant.views

@@ -43,6 +43,7 @@ class FrameBlock:
 
     def __init__(self, ctx: moderngl.Context, views: int) -> None:
         self._record = np.zeros((), frame_dtype(views))
+        self._written = b""
         self.buffer: moderngl.Buffer = ctx.buffer(reserve=self._record.nbytes, dynamic=True)
 
     def write(
@@ -70,7 +71,10 @@ class FrameBlock:
         width, height = cameras[0].width, cameras[0].height
         record["size"] = width, height, 2 / width, 2 / height
         record["knobs"][:4] = config.debug.eps2d, config.max_sigma, 0.0, config.debug.cull_margin
-        self.buffer.write(record)
+        content = record.tobytes()
+        if content != self._written:
+            self.buffer.write(content)
+            self._written = content
         self.buffer.bind_to_uniform_block(FRAME_BLOCK)
 
     def release(self) -> None:

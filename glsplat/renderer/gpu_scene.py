@@ -229,6 +229,8 @@ class GpuScene:
         self._hidden = frozenset(item for item in visible if not item.layers & layers)  # by their layers
         self._visible = [item for item in visible if not isinstance(item.content, RiggedMesh)]
         self._visible_meshes = [item for item in visible if isinstance(item.content, RiggedMesh)]
+        if self._visible_meshes and self._context.state is not None:
+            self._context.state.include_meshes()
 
     def _stage(self, levels: Sequence[int], placements: Sequence[Placement]) -> None:
         """Upload new items, and use an arena that holds the visible ones at these levels of detail.

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.renderer.bounds import Bounds
 from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement
-from glsplat.shaders import MeshVariant, Programs
+from glsplat.shaders import MeshVariant, Programs, set_uniforms
 from glsplat.shaders.slots import UNITS
 from glsplat.skinning.skin import Skin
 
@@ -36,6 +37,8 @@ class MeshBuffers:
     def __init__(self, context: Context, mesh: RiggedMesh, anisotropy: int) -> None:
         ctx, skin = context.ctx, Skin.create(mesh.joints, mesh.weights, len(mesh.skeleton), INFLUENCES)
         self._ctx, self._rest, self._reach = ctx, mesh.skeleton.joints, reach_of(mesh, skin)
+        used = np.unique(mesh.faces)
+        self.bounds: Bounds = Bounds.of_mesh(mesh.vertices[used], skin.take(used), len(mesh.skeleton))
         self._placed = np.zeros((len(mesh.skeleton), 3, 4))  # bones about the origin of the last place()
         self._arrays: dict[MeshVariant, moderngl.VertexArray] = {}
         self._ranges: list[tuple[int, int]] = []  # first index and count of each part
@@ -109,7 +112,7 @@ class MeshBuffers:
         try:
             for (first, count), texture, cutout in zip(self._ranges, self._textures, self._cutouts, strict=True):
                 texture.use(UNITS["skin_texture"])
-                array.program["lowest"] = (0.5 / samples) * cutout
+                set_uniforms(array.program, {"lowest": (0.5 / samples) * cutout})
                 array.render(moderngl.TRIANGLES, vertices=count, first=first)
         finally:
             for switch in switches:

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
+from glsplat.renderer.bounds import covered_pixels
 from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.mesh_buffers import INFLUENCES, MeshBuffers, fitted
 from glsplat.renderer.owned import data_texture, owned
 from glsplat.renderer.skin import Placement, near_eye
+from glsplat.renderer.stats import Box
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
 
@@ -50,6 +52,7 @@ class MeshPass:
         ctx = context.ctx
         self._ctx, self._programs, self._kind = ctx, programs, kind
         self._drawn: object = None
+        self.covered: Box = (0, 0, 0, 0)  # holds all pixels of the meshes
         self._centres: list[_Centres] = []
         self._samples: _Samples | None = None
         self._frames: list[FrameBlock] = []
@@ -72,6 +75,8 @@ class MeshPass:
         if state == self._drawn:
             return
         self._drawn = None
+        bounds = (item.bounds.posed(at.transform, at.bones) for item, at in items)
+        self.covered = covered_pixels(cameras, bounds, _NO_SPLATS)
         anchors = np.array([placement.anchor() for _, placement in items])
         origin = near_eye(anchors[0], anchors, cameras[0].position)  # float32 has no bits left far from zero
         for item, placement in items:
@@ -81,7 +86,7 @@ class MeshPass:
             for view, camera in enumerate(cameras):
                 self._draw(view, camera, [item for item, _ in items], origin)
         finally:
-            self._ctx.enable_only(moderngl.NOTHING)
+            self._ctx.disable(moderngl.DEPTH_TEST)
         self._drawn = state
 
     def _draw(self, view: int, camera: Camera, items: Sequence[MeshBuffers], origin: NDArray[np.float64]) -> None:

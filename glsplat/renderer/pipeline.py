@@ -27,7 +27,7 @@ from glsplat.renderer.project import ProjectPass
 from glsplat.renderer.read_back import read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
 from glsplat.renderer.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
-from glsplat.renderer.stats import Box, FrameStats
+from glsplat.renderer.stats import Box, FrameStats, union
 from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
@@ -56,6 +56,7 @@ class Pipeline:
         self._order_age = config.debug.sort_period  # moved frames since the sort; at first more than allowed
         self.culled: dict[str, int] = {}
         self.covered: Box = (0, 0, 0, 0)
+        self._splat_box: Box | None = None  # holds the pixels of the current records, once it is known
         self.cost: int | None = None  # covered pixels of the current records, if counted
         self.item_costs: tuple[int, ...] = ()  # the same of each shown item
         self._costs: NDArray[np.uint32] | None = None  # blocks of each shown splat, if the host sorts
@@ -129,7 +130,7 @@ class Pipeline:
         else:
             if resort:
                 self._sort_on_gpu(self._sorter, timer, itemised=costed == 2)
-            self.covered = (0, 0, views[0].width, views[0].height)
+            self._splat_box = None
         timer.mark("sort")
         self._project.run(light, self._sorter.indirect if self._sorter else None)
         timer.mark("project")
@@ -156,7 +157,7 @@ class Pipeline:
             self._costs, self.item_costs = costs, self._itemised(costs)
             self.cost = sum(self.item_costs)
         self.culled = self._without_padding(count_culled(keys))
-        self.covered = covered_box(tiles[keys < FIRST_CULLED], view.width, view.height)
+        self._splat_box = covered_box(tiles[keys < FIRST_CULLED], view.width, view.height)
         if resort:
             self._order = self._recorded = sorted_indices(keys, self._config.debug.sort_bits)
         else:  # an old order without splats culled since: they lie outside of the covered box
@@ -176,14 +177,20 @@ class Pipeline:
 
         Raises the exceptions of ``slices.between``.
         """
+        whole = (0, 0, views[0].width, views[0].height)
+        if self._splat_box is None and boxed:  # only the GPU knows the splats' pixels
+            self._splat_box = self._arena.covered(views, self._config)
+        self.covered = whole if self._splat_box is None else self._splat_box
         if mesh_pass is not None:
             mesh_pass.use()
-            self.covered = (0, 0, views[0].width, views[0].height)
-        self._background.run(target, views, self.covered if boxed else (0, 0, views[0].width, views[0].height))
+            self.covered = union(self.covered, mesh_pass.covered)
+        if not self.covered[2]:
+            self.covered = (0, 0, 1, 1)  # the encoder needs a pixel
+        self._background.run(target, views, self.covered if boxed else whole)
         if slices is not None and slices.between is not None and (self.cost or 0) > slices.cost:
             self._draw.run_slices(target, self._slices(slices.cost), slices.between)
         else:
-            self._draw.run(target, self._project.count, indirect=self._sorter.indirect if self._sorter else None)
+            self._draw.run(self._project.count, indirect=self._sorter.indirect if self._sorter else None)
         timer.mark("draw")
 
     def resolve(

@@ -109,14 +109,12 @@ class ResolvePass:
         if texture is not None:
             texture.use(UNITS["step_texture"])
         into.framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
         source.texture.use(UNITS["target"])
         views, rows, _, _ = into.shape
         for view in range(views):
             set_uniforms(program, {"background": cameras[view].background, "view": (view, 0, view * rows)})
             self._ctx.viewport = (x, view * rows + y, width, height)
             array.render(moderngl.TRIANGLES, vertices=3)
-        self._ctx.viewport = (0, 0, into.shape[2], views * rows)
 
     def _array(self, source: str) -> moderngl.VertexArray:
         if source not in self._arrays:

@@ -105,7 +105,7 @@ class SkinPass:
             if placement.bones is not None
             else _placed(item, placement, origin)
         )
-        array.program["size"], array.program["signed_opacity"] = placement.size, opacity
+        set_uniforms(array.program, {"size": placement.size, "signed_opacity": opacity})
         self._framebuffer.use()  # without a complete framebuffer transform feedback silently writes nothing
         for start in range(0, max(item.count, 1), _BATCH_ROWS * ROW):
             count = min(_BATCH_ROWS * ROW, item.count - start)
@@ -132,9 +132,12 @@ def near_eye(
 
 def _placed(item: ItemBuffers, placement: Placement, origin: NDArray[np.float64]) -> moderngl.VertexArray:
     array = item.array(item.variant)
-    array.program["turn"] = tuple(placement.turn.T.ravel())  # columns
-    array.program["rodrigues"] = tuple(rodrigues_parameters(placement.turn))
-    array.program["offset"] = tuple(placement.anchor(item.centre) - origin)
+    uniforms = {
+        "turn": tuple(placement.turn.T.ravel()),  # columns
+        "rodrigues": tuple(rodrigues_parameters(placement.turn)),
+        "offset": tuple(placement.anchor(item.centre) - origin),
+    }
+    set_uniforms(array.program, uniforms)
     assert item.rest is not None
     item.rest.use(UNITS["splats"])
     return array

@@ -38,10 +38,10 @@ def covered_box(
 ) -> Box:
     """Return the box outside of which every view shows only its background.
 
-    Never empty, and with a rim of background wherever it does not reach the picture's edge (read_back.read_bytes).
+    With a rim of background wherever it does not reach the picture's edge (read_back.read_bytes).
     """
     if not len(tiles):
-        return 0, 0, 1, 1
+        return 0, 0, 0, 0
     # four passes over packed integers: numpy's minimum along [N, 4] bytes takes ten times as long
     x0, y0 = (tiles & 0xFF).min(), (tiles >> 8 & 0xFF).min()
     x1, y1 = (tiles >> 16 & 0xFF).max(), (tiles >> 24).max()

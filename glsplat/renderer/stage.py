@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
+from glsplat.renderer.bounds import Bounds
 from glsplat.renderer.owned import data_texture, owned
 from glsplat.rotations import signed_axes
 from glsplat.shaders import Programs, SkinVariant, Variant
@@ -58,6 +59,10 @@ class ItemBuffers:
         self.splats = splats  # on the host: the arena packs colours and cones from it
         self.count: int = len(splats)
         self._ctx, self._programs = context.ctx, programs
+        self._skin = skin if skin is None or not self.skipped else skin.take(usable)
+        self._shapes = shapes if shapes is None or not self.skipped else shapes.take(usable)
+        self._joints = max(joints, 1)
+        self._bounds: Bounds | None = None  # measured when they are first needed
         self.centre = np.zeros(3)  # metres; means are uploaded about it, as float32 is too coarse far from zero
         if self.count:
             median = np.median(splats.means[:: max(1, self.count // 65536)].astype(np.float64), axis=0)
@@ -75,16 +80,16 @@ class ItemBuffers:
                     self._buffers.append(owned(stack, numbers_of(context.ctx, self.count)))
                     self._content = [(self._buffers[0], "1u4", "number")]
             else:
+                assert self._skin is not None
                 self.variant = SkinVariant(influences=skin.influences, raw=int(raw))
-                kept = usable if self.skipped else slice(None)
-                arrays: list[NDArray[Any]] = [self._static(11), skin.joints[kept], skin.weights[kept]]
+                arrays: list[NDArray[Any]] = [self._static(11), self._skin.joints, self._skin.weights]
                 for array in arrays:
                     content = np.ascontiguousarray(array) if array.size else bytes(_SMALLEST)
                     self._buffers.append(owned(stack, context.ctx.buffer(content)))
                 self._content = _attributes(self._buffers, skin.influences)
                 self.bones = data_texture(stack, context.ctx, (3, joints), 4)
-                if shapes is not None and len(shapes.targets):
-                    self.shapes = ShapeBuffers(context.ctx, shapes.take(usable) if self.skipped else shapes, stack)
+                if self._shapes is not None and len(self._shapes.targets):
+                    self.shapes = ShapeBuffers(context.ctx, self._shapes, stack)
             self._owned = stack.pop_all()
 
     @property
@@ -103,6 +108,12 @@ class ItemBuffers:
             content = [*self._content, self.shapes.content] if shaped and self.shapes else self._content
             self._arrays[variant] = self._ctx.vertex_array(program, content)
         return self._arrays[variant]
+
+    def bounds(self, max_sigma: float) -> Bounds:
+        """Return the extents of the splats, up to ``max_sigma`` standard deviations; the same in every call."""
+        if self._bounds is None:
+            self._bounds = Bounds.of_splats(self.splats, max_sigma, self._skin, self._joints, self._shapes)
+        return self._bounds
 
     def colours(self, degree: int) -> NDArray[np.float32]:
         """Return SH coefficients [N, floats] as sh.glsl reads them at ``degree``; missing ones are 0."""

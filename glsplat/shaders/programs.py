@@ -115,11 +115,19 @@ def link(
 
 
 def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, values: Mapping[str, Any]) -> None:
-    """Set uniforms by name; the compiler removes those that the program does not read."""
+    """Set uniforms by name, those that changed; the compiler removes those that the program does not read.
+
+    A uniform that is set here has to be set nowhere else.
+    """
+    if program.extra is None:
+        program.extra = {}
     for name, value in values.items():
+        if program.extra.get(name) == value:
+            continue
         uniform = program.get(name, None)
         if isinstance(uniform, moderngl.Uniform):
             uniform.value = value
+        program.extra[name] = value
 
 
 @contextmanager

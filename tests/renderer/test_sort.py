@@ -204,7 +204,7 @@ def test_covered_box() -> None:
     tiles = np.array([[10, 20, 30, 40], [5, 25, 12, 255]], np.uint8).view(np.uint32)[:, 0]
     assert covered_box(tiles, 256, 256) == (4, 19, 28, 237)  # with a rim of one pixel, up to the edge
     assert covered_box(tiles, 1000, 100) == (18, 6, 105, 94)  # rounded outwards
-    assert covered_box(tiles[:0], 64, 64) == (0, 0, 1, 1)
+    assert covered_box(tiles[:0], 64, 64) == (0, 0, 0, 0)
 
 
 Make = Callable[..., Renderer]
