@@ -24,6 +24,7 @@ export class Stage {
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
   sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/hurry.js)
+  onFrame = () => {}; // called with the views of each frame
   begun; // resolves with the first picture, or when none comes soon
   #begin;
   #gl;
@@ -91,6 +92,7 @@ export class Stage {
    * Returns the frame_id of the request, or 0.
    */
   frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
+    this.onFrame(views);
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here?.draws(views, where, this.figures.rate('shown', now), now);
