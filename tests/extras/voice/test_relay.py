@@ -8,7 +8,7 @@ import hashlib
 import hmac
 import json
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from random import Random
 from typing import Any
 
@@ -22,17 +22,18 @@ from glsplat.extras.voice import IceServers, Voice
 from glsplat.extras.voice.relay import MAX_MESSAGE_BYTES, MAX_TALKERS
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.guard.access import Access
-from glsplat.net.server import Server, ServerConfig
+from glsplat.net.options import ServerConfig
+from glsplat.net.server import Server
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.net.conftest import FakeBackend, Serve
-from tests.net.wire import HANG, UNLIMITED, native, until
+from tests.net.wire import EYE, HANG, UNLIMITED, until
 
 pytestmark = pytest.mark.extra(name="speech")
 
 RIG = Skeleton.from_joints(JOINT_NAMES, [-1] + [0] * 54, np.zeros((55, 3)))
 OFFERS = (AvatarInfo(name="ann", skeleton=RIG),)
-LAB = {"rooms": {"lab": 16, "hall": 4}, "max_clients": 16, "limits": UNLIMITED}
+LAB: dict[str, Any] = {"rooms": {"lab": 16, "hall": 4}, "max_clients": 16, "limits": UNLIMITED}
 
 
 class Page:
@@ -53,7 +54,7 @@ class Page:
                 if isinstance(message.data, kind):
                     if kind is bytes:
                         return message.data
-                    found = json.loads(message.data)
+                    found = json.loads(str(message.data))
                     return found.get("talk", found.get("error"))
                 assert message.type in (aiohttp.WSMsgType.BINARY, aiohttp.WSMsgType.TEXT), message
 
@@ -63,7 +64,8 @@ class Page:
 
     async def picture(self) -> bytes:
         self.frame_id += 1
-        await self.ws.send_str(native(self.frame_id))
+        request = {"v": 1, "frame_id": self.frame_id, "ack": 0, "eyes": [EYE], "size": [64, 64]}
+        await self.ws.send_str(json.dumps(request))
         return await self.heard(bytes)
 
 
@@ -110,16 +112,14 @@ async def test_signals_reach_one_member_of_the_same_room_as_they_are(serve: Serv
 
 async def test_ninth_is_refused_and_a_client_alone_has_no_relay(serve: Serve) -> None:
     async with lab(serve) as server:
-        pages = [page(server, f"P{n}") for n in range(MAX_TALKERS + 1)]
-        opened = [await one.__aenter__() for one in pages]
-        for one in opened[:-1]:
-            assert "you" in await one.join()
-        assert (await opened[-1].join())["code"] == "talk_full"
+        async with AsyncExitStack() as stack:
+            for number in range(MAX_TALKERS):
+                assert "you" in await (await stack.enter_async_context(page(server, f"P{number}"))).join()
+            ninth = await stack.enter_async_context(page(server, "Ninth"))
+            assert (await ninth.join())["code"] == "talk_full"
         async with aiohttp.ClientSession() as http, http.ws_connect(server.url) as alone:
             await alone.send_str('{"talk": {"join": true}}')
             assert json.loads((await alone.receive()).data)["error"]["code"] == "version"
-        for one in pages:
-            await one.__aexit__(None, None, None)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import { Hurry } from './hurry.js';
 import { Voice } from './voice.js';
 
-const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser, unless you talk with a room: only how the mouth stands is sent.';
+const SAID = 'Your voice moves the avatar’s mouth: only how the mouth stands is sent. The sound stays in this browser, unless you talk with a room.';
 const STATES = { off: '', asking: 'The browser asks whether it may listen…', on: 'Listening.', muted: 'Muted.', refused: '' };
 
 /**

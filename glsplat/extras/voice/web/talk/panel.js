@@ -4,7 +4,7 @@ import { Talk } from './talk.js';
 
 const DIRECT = 'Your voice goes from this browser straight to those of the others who talk, encrypted. Their browsers learn your IP address, and yours learns theirs.';
 const RELAYED = 'Your voice goes to the browsers of the others who talk, encrypted, through a relay. They do not learn your IP address.';
-const KEPT = 'Neither the server nor this page records or hears it. The others could.';
+const KEPT = 'The sound does not pass this server, and nothing is recorded here. The others could record you.';
 const NO_PATH = 'No path between your browsers: you do not hear each other. Another network may help, or a TURN server that this one names.';
 
 /**
@@ -30,7 +30,7 @@ export function addTalk(place, { connection, voice, stage, relay }) {
   const people = element('ul', { id: 'talk-people' });
   const state = element('p', { className: 'note', id: 'talk-state' });
   state.setAttribute('role', 'status');
-  const controls = element('div', {}, element('label', {}, push, ' Push to talk'), ' ', hold);
+  const controls = element('div', {}, element('label', { className: 'tick' }, push, ' Push to talk'), ' ', hold);
   const box = element('section', { id: 'talk', hidden: true }, join, controls, people, state, ask);
   box.setAttribute('aria-label', 'Talk with this room');
   place.after(box);
