@@ -19,12 +19,12 @@ const COMPLAINT = 4000; // ms for which an error of the server is shown
 export class Stage {
   figures = new Figures();
   shownId = 0;
+  onFrame = () => {}; // called with the views of each frame
   info = {}; // the JSON of the newest reply
   canHide = false; // whether the avatar's head can be hidden
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
   sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/hurry.js)
-  onFrame = () => {}; // called with the views of each frame
   begun; // resolves with the first picture, or when none comes soon
   #begin;
   #gl;

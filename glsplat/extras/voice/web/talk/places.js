@@ -2,14 +2,14 @@
 
 import { fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 
-const MOUTH = 1.5; // metres above the ground on which somebody stands
+const MOUTH = 1.5; // metres above the ground on which somebody stands, where the head is not known
 
 /** Return {name: [x, y, z]} of the people in the room of a stage; metres. */
 export function mouths({ info, here, renderedBy }, now = performance.now()) {
   const room = renderedBy.by === 'here' ? here.people.room : info.room;
   if (!Array.isArray(room?.people)) return {};
   const raised = ([x, y, z]) => [x, y + MOUTH, z];
-  if (renderedBy.by !== 'here') return Object.fromEntries(room.people.map(({ name, at }) => [name, raised(at)]));
+  if (renderedBy.by !== 'here') return Object.fromEntries(room.people.map(({ name, at, head }) => [name, head ?? raised(at)]));
   const names = Object.fromEntries(room.people.map(({ key, name }) => [key, name]));
   const own = invert(fromPose(room.place));
   const bodies = here.people.at(now).map(({ key, root, place: { translation, rotation, scale } }) => {
