@@ -24,6 +24,7 @@ from tests.browser.vr import settings
 from tests.extras.speech.sounds import vowels, wav_bytes
 
 RATE = 48000
+PATIENCE_S = 240.0  # for what takes a second on an idle machine
 FAKE = ["--use-fake-device-for-media-stream", "--autoplay-policy=no-user-gesture-required"]
 ALLOWED = "--use-fake-ui-for-media-stream"
 
@@ -95,22 +96,48 @@ def lab(serve: Any, backend: Markers) -> Served:
     return served
 
 
+# the page without pictures: a connection that asks for tiny ones, and the controls
+LIGHT = """
+import { Connection } from '/vr/stream/connection.js';
+import { addTalk } from '/vr/talk/panel.js';
+import { addVoice } from '/vr/voice/panel.js';
+const name = location.hash.slice(1);
+const connection = new Connection(() => ({ room: 'lab', name }));
+const stage = { info: {}, renderedBy: { by: 'server' }, onFrame() {} };
+const voice = addVoice(document.getElementById('controls'), stage);
+const { talk, offered } = addTalk(document.getElementById('voice'), { connection, voice, stage, relay: false });
+const eyes = [{ viewmat: [1, 0, 0, 0, 0, -1, 0, 1.5, 0, 0, -1, 0, 0, 0, 0, 1], K: [9, 9, 8, 8] }];
+connection.addEventListener('reply', ({ detail }) => (stage.info = detail.reply.info));
+setInterval(() => {
+  stage.onFrame([{ transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 1.5, 0, 1] }]);
+  connection.send({ eyes, size: [16, 16], pose: voice.speaks({ trans: [0, 0, 0] }) });
+}, 250);
+document.getElementById('panel').hidden = false;
+window.entered = offered;
+window.opened = () => connection.opened;
+offered('lab');
+connection.restart();
+"""
+
+
 @pytest.fixture
 def member(speaking: Any, lab: Served) -> Iterator[Any]:
-    """``member(name, talks=True, browser=..., script="")``: a page in the room."""
+    """``member(name, talks=True, whole=False, browser=..., script="")``: a page in the room."""
     pages: list[Opened] = []
     contexts: list[Any] = []
 
-    def open_(name: str, talks: bool = True, browser: Any = speaking, script: str = "", **kept: Any) -> Opened:
+    def open_(name: str, talks: bool = True, whole: bool = False, browser: Any = speaking, script: str = "") -> Opened:
         context = browser.new_context(viewport={"width": 320, "height": 240})
+        context.set_default_timeout(PATIENCE_S * 1e3)
         contexts.append(context)
-        values = {"room": "lab", "name": name, "size": 512, "driver": "rest", "place": "plain", "drawer": True} | kept
-        context.add_init_script(settings(**values) + WATCH + script)
+        kept = {"room": "lab", "name": name, "size": 512, "driver": "rest", "place": "plain", "drawer": True}
+        context.add_init_script(settings(**kept) + WATCH + script)
+        if not whole:
+            context.route("**/vr/main.js", lambda route: route.fulfill(body=LIGHT, content_type="text/javascript"))
         page = Opened(context.new_page())
         pages.append(page)
-        page.page.goto(lab.page)
-        page.until("window.glsplat?.stats().shown > 0")
-        page.until("document.querySelector('#talk')?.hidden === false")
+        page.page.goto(f"{lab.page}/#{name}")
+        page.until("document.querySelector('#talk')?.hidden === false", PATIENCE_S)
         if talks:
             talk(page)
         return page
@@ -128,7 +155,7 @@ def click(page: Opened, *names: str) -> None:
 
 def talk(page: Opened) -> None:
     click(page, "talk-join", "talk-yes")
-    page.until("document.querySelector('#talk-state').textContent.startsWith('They ')")
+    page.until("document.querySelector('#talk-state').textContent.startsWith('They ')", PATIENCE_S)
 
 
 def people(page: Opened) -> list[str]:
@@ -142,11 +169,15 @@ def names(page: Opened) -> list[str]:
 
 
 def hears(page: Opened) -> None:
-    page.until("heard() > 0.01")
+    page.until("heard() > 0.01", PATIENCE_S)
+
+
+def silent(page: Opened) -> None:
+    page.until("heard() < 1e-3", PATIENCE_S)
 
 
 def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Served, backend: Markers) -> None:
-    ann, bob = member("Ann"), member("Bob", talks=False)
+    ann, bob = member("Ann"), member("Bob", talks=False, whole=True)
     words = bob.js("document.querySelector('#talk-ask').textContent")
     assert "IP address" in words and "recorded" in words
     click(bob, "talk-join", "talk-no")
@@ -154,10 +185,10 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
     talk(bob)
     for page in (ann, bob):
         hears(page)
-    ann.meanwhile(lambda: any("speaks" in line for line in people(ann)))
+    ann.meanwhile(lambda: any("speaks" in line for line in people(ann)), PATIENCE_S)
     signals = lab.stats()["talk"]
     before = bob.js("sent()")
-    bob.until(f"sent().then((bytes) => bytes > {before + 20_000})")  # of sound, between the pages
+    bob.until(f"sent().then((bytes) => bytes > {before + 20_000})", PATIENCE_S)  # of sound, between the pages
     assert lab.stats()["talk"] == signals and signals["bytes"] < 20_000
 
     def jaw() -> float:  # Ann's, in Bob's pictures
@@ -165,9 +196,9 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
         poses = [one.pose for job in jobs[-1:] if job.room is not None for one in job.room.people if one.name == "Ann"]
         return max((dict(pose.expression).get("jawOpen", 0.0) for pose in poses if pose is not None), default=0.0)
 
-    bob.meanwhile(lambda: jaw() > 0.1)  # lips by the same microphone ...
+    bob.meanwhile(lambda: jaw() > 0.1, PATIENCE_S)  # lips by the same microphone ...
     click(ann, "voice-mute")
-    bob.meanwhile(lambda: jaw() == 0 and bob.js("heard()") < 1e-3)  # ... and closed together with it
+    bob.meanwhile(lambda: jaw() == 0 and bob.js("heard()") < 1e-3, PATIENCE_S)  # ... and closed together with it
     # Ann's mouth, from Bob's camera: across the room's middle, 2.4 m from his place
     seen: RenderJob = backend.requests[max(backend.requests)]
     place = bob.js("((one) => [one.positionX, one.positionY, one.positionZ].map(({ value }) => value))(voices.at(-1))")
@@ -180,32 +211,34 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
 
 def test_three_pages_join_leave_come_back_mute_and_push_to_talk(member: Any, lab: Served) -> None:
     ann, bob, cy = (member(name) for name in ("Ann", "Bob", "Cy"))
-    ann.meanwhile(lambda: [names(page) for page in (ann, bob, cy)] == [["Bob", "Cy"], ["Ann", "Cy"], ["Ann", "Bob"]])
+    ann.meanwhile(
+        lambda: [names(page) for page in (ann, bob, cy)] == [["Bob", "Cy"], ["Ann", "Cy"], ["Ann", "Bob"]], PATIENCE_S
+    )
     click(cy, "talk-join")
-    ann.meanwhile(lambda: names(ann) == ["Bob"] and names(bob) == ["Ann"])
+    ann.meanwhile(lambda: names(ann) == ["Bob"] and names(bob) == ["Ann"], PATIENCE_S)
     assert cy.js("document.querySelector('#talk-people').textContent") == "" and lab.stats()["talk"]["people"] == 2
     cut_off(lab)  # Ann's
-    ann.until("window.glsplat.stats().reconnects === 1")
-    ann.meanwhile(lambda: names(ann) == ["Bob"] and names(bob) == ["Ann"])
+    ann.until("opened() === 2", PATIENCE_S)
+    ann.meanwhile(lambda: names(ann) == ["Bob"] and names(bob) == ["Ann"], PATIENCE_S)
     hears(bob)
     click(ann, "talk-push")
-    bob.until("heard() < 1e-3")
+    silent(bob)
     assert "muted" in ann.js("document.querySelector('#talk-state').textContent")
     ann.js("document.activeElement.blur()")
     ann.page.keyboard.down("Space")
     hears(bob)
     ann.page.keyboard.up("Space")
-    bob.until("heard() < 1e-3")
+    silent(bob)
     hold = "(type) => document.getElementById('talk-hold').dispatchEvent(new Event(type))"
     ann.js(hold, "pointerdown")
     hears(bob)
     ann.js(hold, "pointerup")
-    bob.until("heard() < 1e-3")
-    bob.page.select_option("#room", "hall")  # agreed to was the lab
-    ann.meanwhile(lambda: people(ann) == [])
-    bob.until("document.querySelector('#talk-join').textContent === 'Talk with this room'")
-    bob.page.select_option("#room", "")
-    bob.until("document.querySelector('#talk').hidden")
+    silent(bob)
+    bob.js("entered('hall')")  # agreed to was the lab
+    ann.meanwhile(lambda: people(ann) == [], PATIENCE_S)
+    assert bob.js("document.querySelector('#talk-join').textContent") == "Talk with this room"
+    bob.js("entered('')")
+    assert bob.js("document.querySelector('#talk').hidden")
 
 
 def test_who_has_no_microphone_hears_the_others(member: Any, chromium: Any) -> None:
@@ -219,61 +252,58 @@ def test_without_a_path_a_sentence_says_so(member: Any) -> None:
     ann = member("Ann", script="window.forced = { iceTransportPolicy: 'relay' };")  # and there is no relay
     bob = member("Bob")
     for page in (ann, bob):
-        page.until("document.querySelector('#talk-people').textContent.includes('No path between your browsers')")
+        page.until(
+            "document.querySelector('#talk-people').textContent.includes('No path between your browsers')", PATIENCE_S
+        )
 
 
 MAIN = """
 import { Peer } from '/vr/talk/peer.js';
-window.ready = (async () => {
-  const context = new AudioContext();
-  const tone = new OscillatorNode(context, { frequency: 500 });
-  const mic = new MediaStreamAudioDestinationNode(context);
-  tone.connect(mic);
+const options = { offers: false, track: null, configuration: {}, send() {}, changed() {} };
+const alone = (context) => new Peer({ name: '' }, { ...options, context });
+window.levels = async (...at) => {
+  const context = new OfflineAudioContext(2, 48000, 48000);
+  const peer = alone(context);
+  const tone = new OscillatorNode(context, { type: 'sawtooth', frequency: 200 });
+  tone.connect(peer.meter);
   tone.start();
-  const [track] = mic.stream.getAudioTracks();
-  const peer = (offers, track, send) =>
-    new Peer({ name: '' }, { offers, track, send, configuration: {}, context, changed() {} });
-  const first = peer(true, track, (text) => second.receive(text));
-  const second = peer(false, null, (text) => first.receive(text));
-  const garbage = ['', 'null', '{}', '[1, null]', '[{"sdp": "v=0"}]', '[{"candidate": {"candidate": 7}}]'];
-  for (const text of garbage) first.receive(text);
-  const sides = new ChannelSplitterNode(context, { numberOfOutputs: 2 });
-  second.out.connect(sides);
-  const meters = [0, 1].map((side) => {
-    const meter = new AnalyserNode(context, { fftSize: 32768 });
-    sides.connect(meter, side);
-    return meter;
+  peer.place(at);
+  const sound = await context.startRendering();
+  peer.close();
+  return [0, 1].map((side) => {
+    const settled = sound.getChannelData(side).subarray(24000);
+    return 20 * Math.log10(Math.sqrt(settled.reduce((sum, v) => sum + v * v, 0) / settled.length));
   });
-  window.loud = () => [second.meter, ...meters].map((meter) => {
-    const samples = new Float32Array(meter.fftSize);
-    meter.getFloatTimeDomainData(samples);
-    return Math.hypot(...samples) / Math.sqrt(samples.length);
-  });
-  window.place = (...at) => second.place(at);
-  window.path = () => second.path;
-})();
+};
+window.survives = async (...texts) => {
+  const peer = alone(new OfflineAudioContext(2, 1, 48000));
+  for (const text of texts) peer.receive(text);
+  await new Promise((done) => setTimeout(done, 500));
+  return peer.path;
+};
 """
 
 
-def test_a_voice_falls_by_6_db_for_twice_as_far_and_comes_from_its_side(speaking: Any) -> None:
-    with flat_page(speaking, MAIN, "window.loud && path() === 'open' && loud()[0] > 0.1") as page:
+@pytest.fixture(scope="module")
+def voices(speaking: Any) -> Iterator[Any]:
+    """A page with the functions of MAIN."""
+    with flat_page(speaking, MAIN, "window.levels") as page:
+        yield page
 
-        def heard(*at: float) -> tuple[float, float]:
-            """Levels of both ears by that before the panner, dB, once they have settled."""
-            page.evaluate("(at) => place(...at)", at)
-            before = None
-            for _ in range(200):
-                page.wait_for_timeout(800)  # longer than the meters' window
-                direct, left, right = page.evaluate("loud()")
-                found = (20 * np.log10(left / direct), 20 * np.log10(right / direct))
-                if before is not None and np.abs(np.subtract(found, before)).max() < 0.3:
-                    return found
-                before = found
-            raise AssertionError("the level does not settle")
 
-        near, far, farther = (np.mean(heard(0, 0, -metres)) for metres in (1, 2, 4))
-        assert near - far == pytest.approx(6, abs=1) and near - farther == pytest.approx(12, abs=1.5)
-        left, right = heard(-1, 0, 0)
-        assert left > right + 6
-        left, right = heard(1, 0, 0)
-        assert right > left + 6
+def test_a_voice_falls_by_6_db_for_twice_as_far_and_comes_from_its_side(voices: Any) -> None:
+    def levels(*at: float) -> tuple[float, float]:
+        """Return the levels at the left and the right ear, dB."""
+        left, right = voices.evaluate("(at) => levels(...at)", at)
+        return left, right
+
+    near, far, farther = (np.mean(levels(0, 0, -metres)) for metres in (1, 2, 4))
+    assert near - far == pytest.approx(6, abs=0.2) and near - farther == pytest.approx(12, abs=0.3)
+    for side in (1, -1):
+        left, right = levels(side * 1, 0, 0)
+        assert side * (right - left) > 3
+
+
+def test_signals_that_are_none_do_no_harm(voices: Any) -> None:
+    garbage = ["", "null", "{}", "[1, null]", '[{"sdp": "v=0"}]', '[{"sdp": {}}]', '[{"candidate": {"candidate": 7}}]']
+    assert voices.evaluate("(texts) => survives(...texts)", garbage) == "looking"
