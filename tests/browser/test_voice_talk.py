@@ -217,6 +217,8 @@ def test_three_pages_join_leave_come_back_mute_and_push_to_talk(member: Any, lab
     click(cy, "talk-join")
     ann.meanwhile(lambda: names(ann) == ["Bob"] and names(bob) == ["Ann"], PATIENCE_S)
     assert cy.js("document.querySelector('#talk-people').textContent") == "" and lab.stats()["talk"]["people"] == 2
+    click(cy, "talk-join", "talk-no")  # the answer of before does not count
+    assert cy.js("document.querySelector('#talk-join').textContent") == "Talk with this room"
     cut_off(lab)  # Ann's
     ann.until("opened() === 2", PATIENCE_S)
     ann.meanwhile(lambda: names(ann) == ["Bob"] and names(bob) == ["Ann"], PATIENCE_S)

@@ -31,6 +31,7 @@ MAX_MESSAGE_BYTES = 16 * 1024  # an offer of one audio track has 1 to 4 kB
 # Entering a room of eight takes a page 7 offers and some 20 messages of candidates, 40 kB.
 _MESSAGES_S, _MESSAGES_BURST = 10.0, 200.0
 _BYTES_S, _BYTES_BURST = 16.0 * 1024, 512.0 * 1024
+_JOIN = 20  # messages that joining counts as: each of the others prepares a connection
 
 _PREFIX = re.compile(r'\s*\{\s*"talk"\s*:')
 
@@ -101,11 +102,10 @@ class Voice(Feature):
         """Handle a message that begins with "talk". Raises ProtocolError."""
         if not _PREFIX.match(text) or guest.client.session.refusal():  # a refused client's next message closes it
             return False
-        size, now = len(text.encode(errors="replace")), self._clock()
+        size = len(text.encode(errors="replace"))
         if size > MAX_MESSAGE_BYTES:
             raise ProtocolError(f"a message to others needs at most {MAX_MESSAGE_BYTES} bytes, not {size}", "too_big")
-        if not (guest.messages.take(now) and guest.bytes.take(now, size)):
-            raise ProtocolError(f"at most {_MESSAGES_S:g} messages to others a second", "rate")
+        self._charge(guest, 1, size)
         try:
             talk = _decode(text).talk
         except msgspec.ValidationError:
@@ -116,12 +116,19 @@ class Voice(Feature):
         if talk.join is not None:
             self._leave(guest.client.room, guest.key)
             if talk.join:
+                self._charge(guest, _JOIN, 0)
                 self._join(guest, there)
         elif guest.key in there and talk.to in there:  # the other one may have left meanwhile
             self._count += 1
             self._bytes += size
             there[talk.to].say(**{"from": guest.key, "signal": talk.signal})
         return True
+
+    def _charge(self, guest: _Guest, messages: int, size: int) -> None:
+        """Take messages and bytes from what a guest may send. Raises ProtocolError where that is used up."""
+        now = self._clock()
+        if not (guest.messages.take(now, messages) and guest.bytes.take(now, size)):
+            raise ProtocolError(f"at most {_MESSAGES_S:g} messages to others a second", "rate")
 
     def _join(self, guest: _Guest, there: dict[int, _Guest]) -> None:
         if len(there) >= MAX_TALKERS:

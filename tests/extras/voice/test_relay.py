@@ -173,6 +173,23 @@ async def test_a_hostile_member_ends_and_the_others_go_on(serve: Serve) -> None:
         assert server.stats()["talk"]["bytes"] < 700_000
 
 
+async def test_who_joins_again_and_again_ends(serve: Serve) -> None:
+    async with lab(serve) as server, page(server, "Ann") as ann, page(server, "Eve") as eve:
+        await ann.join()
+        for _ in range(40):
+            await eve.talk(join=True)
+        async with asyncio.timeout(HANG):
+            while not eve.ws.closed:
+                await eve.ws.receive()
+        await ann.talk(join=False)
+        joined = 0
+        await until(lambda: len(server.clients) == 1)
+        await ann.talk(join=True)
+        while "you" not in (found := await ann.heard()):
+            joined += "joined" in found
+        assert 5 < joined < 15
+
+
 async def test_a_member_who_reads_nothing_holds_no_memory(serve: Serve) -> None:
     async with lab(serve) as server, page(server, "Ann") as ann, page(server, "Bob") as bob:
         await ann.join()

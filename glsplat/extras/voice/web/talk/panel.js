@@ -53,7 +53,11 @@ export function addTalk(place, { connection, voice, stage, relay }) {
     event.preventDefault();
     press(down);
   };
-  join.addEventListener('click', () => (talk.state === 'off' ? ask.showModal() : talk.stop()));
+  join.addEventListener('click', () => {
+    if (talk.state !== 'off') return talk.stop();
+    ask.returnValue = ''; // of the last time
+    ask.showModal();
+  });
   ask.addEventListener('close', () => ask.returnValue === 'yes' && talk.start().then(() => press(false)));
   push.addEventListener('change', () => {
     voice.mute(push.checked);

@@ -21,6 +21,7 @@ export class Talk extends EventTarget {
   #stage;
   #context = null;
   #configuration = {};
+  #opens = false; // whether the microphone was opened for this
   #stream = null; // of the microphone ...
   #meter = null; // ... and its AnalyserNode
   #joined = false;
@@ -44,11 +45,13 @@ export class Talk extends EventTarget {
     this.#context = new AudioContext({ latencyHint: 'interactive' });
     this.#timer = setInterval(() => this.#listen(performance.now()), PLACED);
     this.#become('joining');
-    if (this.#voice.state !== 'on') await (this.#voice.state === 'muted' ? this.#voice.mute(false) : this.#voice.start());
-    this.#connected();
+    this.#opens = !this.#voice.stream;
+    if (this.#opens) await this.#voice.start();
+    else this.#voice.mute(false);
+    if (this.state !== 'off') this.#connected();
   }
 
-  /** Leave; the microphone stays with `voice`. */
+  /** Leave; the microphone stays open where it was before. */
   stop(why = '') {
     if (this.state === 'off') return;
     this.#connection.talk({ join: false });
@@ -57,6 +60,7 @@ export class Talk extends EventTarget {
     this.#context.close();
     this.#stream = this.#meter = null;
     this.#become('off', why);
+    if (this.#opens) this.#voice.stop();
   }
 
   /** Join on a new connection; on none there is nobody. */
