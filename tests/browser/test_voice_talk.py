@@ -220,10 +220,10 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
 def test_three_pages_join_and_leave(member: Any, lab: Served) -> None:
     ann, bob, cy = (member(name) for name in ("Ann", "Bob", "Cy"))
     for page, others in ((ann, ["Bob", "Cy"]), (bob, ["Ann", "Cy"]), (cy, ["Ann", "Bob"])):
-        page.meanwhile(lambda page=page, others=others: names(page) == others, PATIENCE_S)  # type: ignore[misc]
+        page.meanwhile(lambda page=page, others=others: names(page) == others, PATIENCE_S)
     click(cy, "talk-join")
     for page, others in ((ann, ["Bob"]), (bob, ["Ann"]), (cy, [])):
-        page.meanwhile(lambda page=page, others=others: names(page) == others, PATIENCE_S)  # type: ignore[misc]
+        page.meanwhile(lambda page=page, others=others: names(page) == others, PATIENCE_S)
     assert lab.stats()["talk"]["people"] == 2
     click(cy, "talk-join", "talk-no")  # the answer of before does not count
     assert cy.js("document.querySelector('#talk-join').textContent") == "Talk with this room"
