@@ -274,6 +274,7 @@ def test_modules_of_the_page_import_from_the_core_and_from_required_extras(room:
 @pytest.mark.extra(name="far_links")
 @pytest.mark.extra(name="speech")
 @pytest.mark.extra(name="uploads")
+@pytest.mark.extra(name="voice")
 def test_what_the_page_refers_to_is_there() -> None:
     files = {path: body for own in PAGE.values() for path, body in own.items()}
     named = {path: [b or c for b, c in REFERENCE.findall(body)] for path, body in files.items() if "iwer" not in path}

@@ -30,7 +30,7 @@ from ..usage import UsageError
 from .keys import Keys, keys_of, watermark_of
 from .options import ServeOptions, add_options, check_given, naming_option, parsed
 from .ready import Endpoint, announce, open_page
-from .rooms import check_rooms, lit_rooms, open_rooms
+from .rooms import check_rooms, lit_rooms, open_rooms, voice_of
 
 if TYPE_CHECKING:
     from glsplat.extras.speech.face.listener import FaceListener
@@ -242,7 +242,7 @@ def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Se
         uploads=signing(uploads, policy),
         consent=policy,
         people=PEOPLE if args.scene is None and not args.avatar and study is None else (),
-        features=() if study is None else (study.lead,),
+        features=[*([] if study is None else [study.lead]), *([voice_of(args)] if args.voice else [])],
     )
 
 

@@ -127,6 +127,10 @@ class ServeOptions:
         f"(/ws?room=NAME&name=ANN); for SEATS people (default {DEFAULT_SEATS}), in front of SCENE (default nothing); "
         "may be repeated", room_choice, flag="ROOM", sample="lab:4",
     )  # fmt: skip
+    voice: bool = _option(
+        False, "let the people of a room talk, from browser to browser: their browsers see each other's IP addresses",
+        flag="", needs="room", extra="voice",
+    )  # fmt: skip
     host: str = _option("127.0.0.1", "address to listen on; 127.0.0.1 is this machine alone", flag="HOST")
     port: int = _option(8000, "port; 0: any free one", whole(0, 65535), flag="PORT")
     size: tuple[int, int] | None = _option(
@@ -216,6 +220,20 @@ class ServeOptions:
         "Chromium; listens to UDP at the same port number; needs glsplat[webtransport]",
     )  # fmt: skip
     window: int = _option(2, "pictures under way for a client", whole(1, MAX_WINDOW))
+    # ---------------------------------------------------------------------------------------------------------- voice
+    ice: tuple[str, ...] = _option(
+        (), "STUN and TURN servers by which browsers find a path to each other: stun:HOST[:PORT], turn:HOST[:PORT], "
+        "turns:HOST[:PORT] (default: none, which does for one network)", sample="turn:turn.example.org:3478",
+        needs="voice",
+    )  # fmt: skip
+    turn_secret_file: Path | None = _option(
+        None, "file with the secret shared with the TURN servers (coturn: use-auth-secret); browsers get passwords "
+        "made from it, each for 12 hours", Path, sample="turn-secret", needs="voice",
+    )  # fmt: skip
+    relay_only: bool = _option(
+        False, "send voices through the TURN servers only: browsers then do not see each other's IP addresses",
+        needs="voice",
+    )  # fmt: skip
     # -------------------------------------------------------------------------------------------------------- clients
     max_clients: int = _option(8, "clients at once", whole(1, 256))
     max_per_address: int | None = _option(
@@ -309,7 +327,7 @@ def check_given(args: ServeOptions) -> None:
         value, needs, extra = getattr(args, one.name), one.metadata["needs"], one.metadata["extra"]
         if name not in args.filed and value == one.default:
             continue
-        if needs is not None and getattr(args, needs) is None:
+        if needs is not None and not getattr(args, needs):
             raise UsageError(f"{args.label(name)} is for {needs}: give {needs}, too, or leave it out")
         if extra is not None and value != one.metadata["off"] and not has_extra(extra):
             shown = f"{args.label(name)} = {as_toml(value)}" if name in args.filed else args.label(name)

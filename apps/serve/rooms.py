@@ -1,15 +1,21 @@
-"""The rooms that --room names."""
+"""The rooms that --room names, and voice in them."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from glsplat.formats.scene_file import SceneFile, load_scene
+from glsplat.net.guard.access import read_token
 from glsplat.net.options import DEFAULT_SEATS
 from glsplat.scene import Scene
 
 from ..usage import UsageError
 from .options import ServeOptions, naming_option
 
-__all__ = ["check_rooms", "lit_rooms", "open_rooms"]
+if TYPE_CHECKING:
+    from glsplat.extras.voice import Voice
+
+__all__ = ["check_rooms", "lit_rooms", "open_rooms", "voice_of"]
 
 
 def check_rooms(args: ServeOptions) -> None:
@@ -39,3 +45,13 @@ def open_rooms(args: ServeOptions) -> dict[str, SceneFile]:
             room.name: SceneFile.of(Scene()) if room.scene is None else load_scene(room.scene, strict=args.strict)
             for room in args.room
         }
+
+
+def voice_of(args: ServeOptions) -> Voice:
+    """Return the feature of --voice. Raises GlsplatError naming the option or the file that does not fit."""
+    from glsplat.extras.voice import IceServers, Voice  # here: few servers have voice
+
+    with naming_option(args, "turn-secret-file"):
+        secret = "" if args.turn_secret_file is None else read_token(args.turn_secret_file)
+    with naming_option(args, "ice"):
+        return Voice(IceServers(args.ice, secret, args.relay_only))

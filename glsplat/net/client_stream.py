@@ -44,6 +44,7 @@ __all__ = [
 
 ANYTHING = AvatarInfo(name="")
 
+_MAX_UNREAD = 256  # answers and texts that wait to be sent
 _COST_WEIGHT = 0.1  # weight of each picture in the moving average of their times
 
 
@@ -262,9 +263,10 @@ class ClientStream:
     video: ClientVideo | None = None  # None: the server has no video
     member: RoomMember | None = None  # its person in a room; None: it is in no room
     room: str = ""  # name of its room
+    relay: Callable[[str], bool] | None = None  # takes a text message to other clients; False: it is a request
     observers: tuple[FrameObserver, ...] = ()
     datagrams: DatagramTransport | None = None  # None: the server has no datagrams
-    answers: asyncio.Queue[Answer] = field(default_factory=asyncio.Queue)  # bounded by the session's window
+    answers: asyncio.Queue[Answer | str] = field(default_factory=asyncio.Queue)  # bounded by the window and by ``say``
     pose_history: PoseHistory = field(default_factory=PoseHistory)  # the poses that it was sent
     cost: float = field(default=0.0, init=False)  # moving average of its pictures' seconds; 0: none was drawn
     newest: Encoded | None = field(default=None, init=False)  # JPEGs that were sent last, for the status page
@@ -313,6 +315,11 @@ class ClientStream:
     def offer(self, datagrams: DatagramTransport) -> None:
         """Offer the client datagrams for its pictures."""
         self.datagrams = datagrams
+
+    def say(self, text: str) -> None:
+        """Queue a text message that answers no request; drop it where too many answers are unread."""
+        if self.answers.qsize() < _MAX_UNREAD:
+            self.answers.put_nowait(text)
 
     def join(self, wake: Callable[[], None]) -> None:
         """Join a render loop; ``wake`` wakes it up."""

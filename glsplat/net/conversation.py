@@ -119,7 +119,11 @@ class Conversation:
                 if message.type == WSMsgType.TEXT:
                     if self._is_draining():
                         continue
-                    text = reading.offer(message.data, self._clock())
+                    try:
+                        if not self._relayed(message.data):
+                            text = reading.offer(message.data, self._clock())
+                    except ProtocolError as refused:
+                        outcome = session.malformed(refused, self._clock())
                 elif message.type == WSMsgType.BINARY:
                     error = ProtocolError("a request is a text message (JSON), not a binary one", "binary")
                     outcome = session.malformed(error, self._clock())
@@ -134,6 +138,14 @@ class Conversation:
             count += 1
             if count % _MAX_IN_A_ROW == 0:  # receive() does not yield while more has arrived
                 await asyncio.sleep(0)
+
+    def _relayed(self, text: str) -> bool:
+        """Return whether a message was one to other clients, which is not throttled. Raises ProtocolError."""
+        worked = time.thread_time()
+        try:
+            return self.client.relay is not None and self.client.relay(text)
+        finally:
+            self._reading.share.spend(time.thread_time() - worked)
 
     async def _take(self, text: str | None, outcome: Warn | Close | None = None) -> bool:
         """Decode a message, or handle an ``outcome`` without one; return True where the conversation ends."""
@@ -193,6 +205,9 @@ class Conversation:
         while True:
             answer = await self.client.answers.get()
             try:
+                if isinstance(answer, str):
+                    await self._send(answer)
+                    continue
                 if isinstance(answer, PoseAnswer):
                     assert self._responder is not None
                     outgoing = self._responder.pack(answer)

@@ -162,7 +162,8 @@ class Session:
         self.mark: Watermark | None = None if watermark is None else watermark.new_mark()
         self.link: LinkControl | None = None  # from the first report of an arrival on
         self.datagrams: bool = False  # the client accepts pictures by datagrams
-        self._decoder, self._refusal, self._sends_poses = decoder, refusal, sends_poses
+        self.refusal: Callable[[], str] = refusal
+        self._decoder, self._sends_poses = decoder, sends_poses
         self._opened = self._heard = self._noticed = now
         self._pending: dict[int, tuple[Request, float]] = {}  # by eye for the oldest form, else one
         self._kept: tuple[Request, float] | None = None
@@ -185,7 +186,7 @@ class Session:
         self.counts.received += 1
         if not self._rate.take(now):
             return self._limited(now)
-        if why := self._refusal():
+        if why := self.refusal():
             return Close(error_text("not_allowed", why), POLICY_VIOLATION, "no longer allowed")
         try:
             message = self._decoder.decode(data)

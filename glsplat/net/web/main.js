@@ -59,6 +59,8 @@ const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
   record: () => toggleRecording(),
   leave: () => immersive.end(),
+  microphone: () => voice.mute(voice.state === 'on'),
+  more: () => talk?.rows() ?? [],
 });
 const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
@@ -83,6 +85,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
 
 // Parts of extras, each loaded when the server first offers what it is for.
 let voice = null; // extras/speech
+let talk = null; // extras/voice
 let photo = null; // extras/uploads
 
 const addHere = once(async () => {
@@ -93,6 +96,13 @@ const addHere = once(async () => {
 const addVoice = once(async () => {
   voice = (await import('./voice/panel.js')).addVoice(document.getElementById('controls'), stage);
   voice.addEventListener('leap', () => viewer.askNow());
+});
+
+const addTalk = once(async () => {
+  await addVoice(); // has the microphone
+  const { addTalk: add } = await import('./talk/panel.js');
+  talk = add(document.getElementById('voice'), { connection, voice, stage, ...offer.talk });
+  talk.offered(settings.get('room'));
 });
 
 const addPhoto = once(async () => {
@@ -171,6 +181,8 @@ function wear() {
   if (stage.here) stage.here.offer = chosenAvatar()?.hand_out ?? null;
   stage.framing.furnished = offer?.rooms?.find(({ name }) => name === settings.get('room'))?.scene ?? true;
   standAround();
+  if (offer?.talk && settings.get('room')) addTalk();
+  talk?.offered(settings.get('room'));
 }
 
 /** Fetch /session, then connect. */

@@ -3,7 +3,7 @@
 const WORDS = { view: 'View', avatar: 'Avatar', room: 'Room', size: 'Size', quality: 'Quality', drawn: 'Drawn by' };
 const QUALITIES = [50, 65, 80, 90]; // what the panel offers of a number
 
-/** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave()}. */
+/** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave(), more(): rows of extras, by id}. */
 export class Menu {
   #settings;
   #stage;
@@ -25,6 +25,7 @@ export class Menu {
     const recording = this.#recorder.recording;
     return [
       ...choices,
+      ...this.#deeds.more(),
       { id: 'calibrate', label: 'Calibrate (stand straight)' },
       { id: 'record', label: recording ? 'Stop recording' : 'Record', value: recording ? clock(this.#recorder.seconds) : '' },
       { id: 'figures', label: 'Figures', value: this.#settings.get('figures') ? 'on' : 'off' },

@@ -19,6 +19,7 @@ const COMPLAINT = 4000; // ms for which an error of the server is shown
 export class Stage {
   figures = new Figures();
   shownId = 0;
+  onFrame = () => {}; // called with the views of each frame
   info = {}; // the JSON of the newest reply
   canHide = false; // whether the avatar's head can be hidden
   light = null; // of the server, for requests without a light
@@ -91,6 +92,7 @@ export class Stage {
    * Returns the frame_id of the request, or 0.
    */
   frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
+    this.onFrame(views);
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here?.draws(views, where, this.figures.rate('shown', now), now);

@@ -13,7 +13,7 @@ const REMEMBERED = 2048; // requests whose replies may still come: 20 s at 90 Hz
 
 /**
  * Events: `state` (its `state` or `reason` changed), `reply` (detail {reply, buffer, asked, ms}), `complaint` (detail
- * {code, message} of the server's), `offer` (detail: the answer of GET /session). States: off, connecting, open,
+ * {code, message} of the server's), `talk` (detail: another client's message), `offer` (detail: the answer of GET /session). States: off, connecting, open,
  * waiting.
  */
 export class Connection extends EventTarget {
@@ -110,6 +110,11 @@ export class Connection extends EventTarget {
     return frameId;
   }
 
+  /** Send a message to other clients of the room (docs/protocol.md, 2.2). */
+  talk(message) {
+    if (this.state === 'open') this.#socket.send(JSON.stringify({ talk: message }), true);
+  }
+
   /** Return the field with the codecs that both sides have, if any. */
   #watching() {
     const codecs = this.#codecs?.filter((codec) => this.#videos.includes(codec));
@@ -161,8 +166,9 @@ export class Connection extends EventTarget {
 
   #receive(data) {
     if (typeof data === 'string') {
-      const { error } = JSON.parse(data);
+      const { error, talk } = JSON.parse(data);
       if (error) this.dispatchEvent(new CustomEvent('complaint', { detail: error }));
+      if (talk) this.dispatchEvent(new CustomEvent('talk', { detail: talk }));
       return;
     }
     let reply;

@@ -31,10 +31,11 @@ class WorkerSocket {
     this.#worker.postMessage({ url: String(url), protocols });
   }
 
-  send(text) {
+  /** `sure`: not as datagrams, which may be lost. */
+  send(text, sure = false) {
     this.#given += text.length;
     this.bufferedAmount += text.length;
-    this.#worker.postMessage({ text });
+    this.#worker.postMessage({ text, sure });
   }
 
   /** Open a second way, over which pictures and requests go while it is there. */
@@ -78,7 +79,7 @@ function serve() {
     self.postMessage({ taken, waits: socket.bufferedAmount });
     if (socket.bufferedAmount) timer = setTimeout(tell, LOOK);
   };
-  self.onmessage = ({ data: { url, protocols, text, datagrams, code } }) => {
+  self.onmessage = ({ data: { url, protocols, text, sure, datagrams, code } }) => {
     if (url) {
       socket = new WebSocket(url, protocols);
       socket.binaryType = 'arraybuffer';
@@ -91,7 +92,7 @@ function serve() {
       };
     } else if (text !== undefined) {
       taken += text.length;
-      if (socket.readyState === OPEN && !second?.send(text)) socket.send(text);
+      if (socket.readyState === OPEN && (sure || !second?.send(text))) socket.send(text);
       tell();
     } else if (datagrams) {
       const hand = (message) => self.postMessage({ message }, [message]);

@@ -3,7 +3,7 @@
 import { Hurry } from './hurry.js';
 import { Voice } from './voice.js';
 
-const SAID = 'Your voice moves the avatar’s mouth. The sound stays in this browser: only the shape of the mouth is sent.';
+const SAID = 'Your voice moves the avatar’s mouth: only the shape of the mouth is sent. The sound stays in this browser, unless you talk with a room.';
 const STATES = { off: '', asking: 'Waiting for permission to use the microphone…', on: 'Listening.', muted: 'Muted.', refused: '' };
 
 /**

@@ -11,7 +11,7 @@ const WANTED = { echoCancellation: true, noiseSuppression: true, autoGainControl
 export class Voice extends EventTarget {
   state = 'off';
   why = '';
-  #stream = null;
+  stream = null; // of the open microphone
   #context = null;
   #weights = {};
   #said = {}; // weights that `speaks` returned last
@@ -49,7 +49,7 @@ export class Voice extends EventTarget {
       context.createMediaStreamSource(stream).connect(listener);
       await context.resume();
       if (round !== this.#round) return drop();
-      [this.#stream, this.#context] = [stream, context];
+      [this.stream, this.#context] = [stream, context];
       stream.getTracks().forEach((track) => (track.onended = () => this.stop('the microphone was disconnected')));
       this.#become('on');
     } catch (error) {
@@ -61,16 +61,16 @@ export class Voice extends EventTarget {
   /** Stop, and release the microphone. */
   stop(why = '') {
     this.#round++;
-    this.#stream?.getTracks().forEach((track) => track.stop());
+    this.stream?.getTracks().forEach((track) => track.stop());
     this.#context?.close();
-    [this.#stream, this.#context, this.#weights] = [null, null, {}];
+    [this.stream, this.#context, this.#weights] = [null, null, {}];
     this.#become(why ? 'refused' : 'off', why);
   }
 
   /** Mute or unmute; the microphone stays open. */
   mute(muted) {
     if (!this.#context) return;
-    this.#stream.getTracks().forEach((track) => (track.enabled = !muted));
+    this.stream.getTracks().forEach((track) => (track.enabled = !muted));
     this.#become(muted ? 'muted' : 'on');
   }
 
