@@ -206,6 +206,7 @@ function offered(session) {
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
   const sizes = sizesUpTo(session.max_side);
+  stage.framing.largest = session.max_side / 1.5;
   settings.setOptions('size', sizes.map(named));
   if (session.rate && sizes.includes(session.size[0])) settings.setDefault('size', session.size[0]);
   const slow = session.rate && session.rate < ENOUGH;

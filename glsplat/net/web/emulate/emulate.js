@@ -8,8 +8,9 @@ const TURN = 0.004; // radians a pixel
 
 /** Install it; `canvas` then shows what the left eye sees. Dragging looks about, W A S D walk. */
 export function emulate(canvas) {
-  const device = new XRDevice(metaQuest3, { ipd: 0.063 });
+  const device = new XRDevice(metaQuest3, { ipd: 0.063, stereoEnabled: true });
   device.installRuntime({ forceInstall: true }); // also where the browser has WebXR but no headset
+  mendOffsets();
   device.primaryInputMode = 'hand';
   let [yaw, pitch] = [0, 0];
   const place = [0, EYES, 0];
@@ -33,4 +34,12 @@ export function emulate(canvas) {
     move();
   });
   return device;
+}
+
+/** IWER 2.5 reads the entries of a matrix from the XRRigidTransform itself and so ignores every offset. */
+function mendOffsets() {
+  const { getOffsetReferenceSpace } = XRReferenceSpace.prototype;
+  XRReferenceSpace.prototype.getOffsetReferenceSpace = function mended(offset) {
+    return getOffsetReferenceSpace.call(this, offset.matrix);
+  };
 }

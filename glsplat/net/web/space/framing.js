@@ -12,13 +12,16 @@ const LIMBS = 0.6; // metres a second, by which the box is wider than the last o
 const LATEST = 0.3; // seconds; older pictures are not waited for by wider margins
 const MARGIN = 0.03; // radians beyond what the eye sees, and at most
 const WIDEST = 0.35;
-const SHAPES = [0.5, 1, 2]; // width / height; few of them, because a server keeps targets of few sizes
+const SHAPES = [0.5, 0.7, 1, 1.4, 2]; // width / height; few of them, because a server keeps targets of few sizes
 const HYSTERESIS = 1.25;
 const COMPANY = 1.6; // metres to the plane on which a picture of a whole room is put
-const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.7, 0.8]; // metres about where somebody stands, the words over their head, too
+const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.1, 0.8]; // metres about where somebody stands
+const FIGURE = [-0.4, -0.05, -0.25, 0.4, 1.85, 0.25]; // metres, of somebody whose arms hang
+const MOST = 2; // sides of a square that a picture of a room has at most, of those that a person alone has
 
 export class Framing {
   seen = Infinity; // side of a square with as many pixels as the display has for what was framed last
+  largest = Infinity; // side of a square that the server draws
   furnished = false; // whether a room has more to see than people
   #people = []; // [x, y, z] of everybody in a room, as the server said it
   #box = null; // as the server said it
@@ -65,7 +68,7 @@ export class Framing {
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
-    const size = this.#size(whole, where.whole ? Math.min(side, this.seen) : side);
+    const size = this.#size(whole, where.whole ? this.#roomSide(whole, sights, views, where.shown, side) : side);
     const eyes = views.map(({ transform }, i) => ({
       viewmat: viewmat(serverEye(where, transform)).map(rounded),
       K: intrinsics(whole[i], size).map(rounded),
@@ -99,12 +102,27 @@ export class Framing {
 
   /** The corners of everybody's box in a room as it is `shown`; none where more is to be seen. */
   #company(shown, late) {
-    if (this.furnished) return [];
-    const grow = STILL + LIMBS * late;
+    return this.furnished ? [] : this.#boxes(GUEST, STILL + LIMBS * late, shown);
+  }
+
+  /** The corners of a box about each person, grown by metres, in the room as it is `shown`. */
+  #boxes(about, grow, shown) {
     return this.#people.map((at) => {
-      const box = GUEST.map((v, k) => v + at[k % 3] + (k < 3 ? -grow : grow));
+      const box = about.map((v, k) => v + at[k % 3] + (k < 3 ? -grow : grow));
       return corners(box).map((point) => movePoint(shown, point));
     });
+  }
+
+  /**
+   * The side of a square with the pixels of a picture of a room: each person in sight has as many as if they were
+   * alone in it, up to MOST times `side`.
+   */
+  #roomSide(frusta, sights, views, shown, side) {
+    const areas = this.#boxes(FIGURE, 0, shown)
+      .map((box) => area(sights.map((seen, i) => seen && clip(seen, around(box, views[i].transform), 0))))
+      .filter((one) => one > 0);
+    const wanted = areas.length ? side * Math.sqrt(Math.max(1, area(frusta) / Math.min(...areas))) : side;
+    return Math.min(wanted, MOST * side, this.largest);
   }
 
   #turn(transform, now) {
@@ -131,9 +149,12 @@ export class Framing {
   }
 }
 
-/** The side of a square with as many pixels as the display has for a frustum: more would only make words smaller. */
+/** The area of some frusta, of which some may be null, in squared tangents. */
+const area = (frusta) => frusta.reduce((sum, one) => sum + (one ? (one.right - one.left) * (one.up - one.down) : 0), 0);
+
+/** The side of a square with as many pixels as the display has for a frustum; Infinity for an eye without a display. */
 function shownSide({ left, right, down, up }, { projection, viewport }) {
-  if (!viewport) return Infinity;
+  if (!viewport?.width || !viewport.height) return Infinity;
   const [across, along] = [(right - left) * viewport.width * projection[0], (up - down) * viewport.height * projection[5]];
   return Math.max(64, Math.sqrt(across * along) / 2);
 }
