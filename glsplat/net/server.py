@@ -353,7 +353,7 @@ class Server:
             shown=one,
             account="" if user is None else user.name,
             driver=requested.name,
-            label=driven_by(requested.name) if requested.label else "",
+            label=driven_by([requested.name]) if requested.label else "",
             notice=partial(rights.label, user, requested.avatar),
             share=share,
             video=self.drawer.encoder.video(self.clock),

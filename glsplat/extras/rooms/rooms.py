@@ -44,7 +44,10 @@ class Rooms(Feature):
         place = None if asked.place is None else place_at(*asked.place)
         leave = partial(self._server.close_client, client.number, "connected anew elsewhere")
         now = self._server.clock()
-        person = room.join(asked.name, shown.name, now, asked.resume, place, leave, client.notice(), client.number)
+        person = room.join(
+            *(asked.name, shown.name, now, asked.resume, place, leave, client.notice(), client.number),
+            skeleton=shown.skeleton,
+        )
         client.enter(asked.room, Member(room, person, Pose.zero(len(shown.skeleton))), person.name)
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:

@@ -35,6 +35,7 @@ const connection = new Connection(() => ({
   span: measured?.span,
   room: settings.get('room'),
   name: settings.get('room') ? settings.get('name') : '',
+  label: settings.get('room') ? 0 : '', // the page draws names by itself
 }));
 let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
 let offer = null; // answer of GET /session

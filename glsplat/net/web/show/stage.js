@@ -9,6 +9,7 @@ import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
+import { Names, othersOf } from './names.js';
 import { Painter } from './painter.js';
 
 const FIRST = 3000; // ms that the place, and drawing on this device, wait for the first picture
@@ -24,6 +25,7 @@ export class Stage {
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
   sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/hurry.js)
+  names = new Names(); // of a room's people, over their heads
   begun; // resolves with the first picture, or when none comes soon
   #begin;
   #gl;
@@ -110,7 +112,7 @@ export class Stage {
       this.drawn();
       return sent;
     }
-    const how = { room, keeps, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, keeps, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays, for a change back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
@@ -118,13 +120,20 @@ export class Stage {
       this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
-      const names = this.here.labels(where, views[0].transform, this.painter);
+      const names = this.names.labels(this.here.others(where), where, views[0], this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
     } else {
-      views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: hung }));
+      const names = this.#named(views[0]);
+      views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: [...names, ...hung] }));
       this.drawn();
     }
     return sent;
+  }
+
+  /** Return the names over the heads in the pair on the display, for an eye. */
+  #named(eye) {
+    const where = this.painter.shownAs?.where;
+    return where ? this.names.labels(othersOf(this.info.room, where), where, eye, this.painter) : [];
   }
 
   /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */

@@ -16,7 +16,7 @@ const SHAPES = [0.5, 0.7, 1, 1.4, 2]; // width / height; few of them, because a 
 const HYSTERESIS = 1.25;
 const COMPANY = 1.6; // metres to the plane on which a picture of a whole room is put
 const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.1, 0.8]; // metres about where somebody stands
-const FIGURE = [-0.4, -0.05, -0.25, 0.4, 1.85, 0.25]; // metres, of somebody whose arms hang
+const FIGURE = 0.42; // squared tangents of the frustum in which a mirror 1.2 m away shows a person whose arms hang
 const MOST = 2; // sides of a square that a picture of a room has at most, of those that a person alone has
 
 export class Framing {
@@ -68,7 +68,7 @@ export class Framing {
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
-    const size = this.#size(whole, where.whole ? this.#roomSide(whole, sights, views, where.shown, side) : side);
+    const size = this.#size(whole, where.whole ? this.#roomSide(whole, side) : side);
     const eyes = views.map(({ transform }, i) => ({
       viewmat: viewmat(serverEye(where, transform)).map(rounded),
       K: intrinsics(whole[i], size).map(rounded),
@@ -102,26 +102,18 @@ export class Framing {
 
   /** The corners of everybody's box in a room as it is `shown`; none where more is to be seen. */
   #company(shown, late) {
-    return this.furnished ? [] : this.#boxes(GUEST, STILL + LIMBS * late, shown);
-  }
-
-  /** The corners of a box about each person, grown by metres, in the room as it is `shown`. */
-  #boxes(about, grow, shown) {
+    if (this.furnished) return [];
+    const grow = STILL + LIMBS * late;
     return this.#people.map((at) => {
-      const box = about.map((v, k) => v + at[k % 3] + (k < 3 ? -grow : grow));
+      const box = GUEST.map((v, k) => v + at[k % 3] + (k < 3 ? -grow : grow));
       return corners(box).map((point) => movePoint(shown, point));
     });
   }
 
-  /**
-   * The side of a square with the pixels of a picture of a room: each person in sight has as many as if they were
-   * alone in it, up to MOST times `side`.
-   */
-  #roomSide(frusta, sights, views, shown, side) {
-    const areas = this.#boxes(FIGURE, 0, shown)
-      .map((box) => area(sights.map((seen, i) => seen && clip(seen, around(box, views[i].transform), 0))))
-      .filter((one) => one > 0);
-    const wanted = areas.length ? side * Math.sqrt(Math.max(1, area(frusta) / Math.min(...areas))) : side;
+  /** The side of a square with the pixels of a picture of a room: as many a degree as of a person alone, up to MOST. */
+  #roomSide(frusta, side) {
+    const areas = frusta.map(({ left, right, down, up }) => (right - left) * (up - down));
+    const wanted = side * Math.sqrt(Math.max(...areas) / FIGURE);
     return Math.min(wanted, MOST * side, this.largest);
   }
 
@@ -148,9 +140,6 @@ export class Framing {
     return [block(side * Math.sqrt(this.#shape)), block(side / Math.sqrt(this.#shape))];
   }
 }
-
-/** The area of some frusta, of which some may be null, in squared tangents. */
-const area = (frusta) => frusta.reduce((sum, one) => sum + (one ? (one.right - one.left) * (one.up - one.down) : 0), 0);
 
 /** The side of a square with as many pixels as the display has for a frustum; Infinity for an eye without a display. */
 function shownSide({ left, right, down, up }, { projection, viewport }) {
