@@ -105,6 +105,14 @@ class Room:
             before.leave()
         return person
 
+    def avatar_for(self, resume: str, offered: Sequence[str]) -> str:
+        """Return the avatar of the person with that token, else the first of those that fewest people wear."""
+        with self._lock:
+            if (guest := self._guest_by_token(resume, "")) is not None:
+                return guest.person.avatar
+            worn = [guest.person.avatar for guest in self._guests.values()]
+        return min(offered, key=worn.count)
+
     def leave(self, person: Person) -> None:
         """Remove a person who closed the connection on purpose."""
         with self._lock:

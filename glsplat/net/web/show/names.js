@@ -28,14 +28,14 @@ export class Names {
   }
 
   /**
-   * Return labels for the painter of `people` [{key, name, label, head (joint, in the room as `where` shows it)}] for an
+   * Return labels for the painter of `people` [{key, name, label, you, head (joint, in the room as `where` shows it)}], but of the user, for an
    * eye {transform, projection, viewport}. In a mirror only those that are seen through its glass.
    */
   labels(people, where, eye, painter) {
     const from = place(eye.transform);
     const tall = Math.max(SMALLEST, (2 * PIXELS) / (eye.viewport.height * eye.projection[5]));
     const seen = people.map((one) => seenFrom(from, one)).filter(({ far }) => far > 0.3 && far < FARTHEST);
-    const named = seen.filter(({ one }) => !where.glass || through(where.glass, from, one.head));
+    const named = seen.filter(({ one }) => !one.you && (!where.glass || through(where.glass, from, one.head)));
     const keys = new Set(named.map(({ one }) => one.key));
     for (const [key, board] of this.#boards) {
       if (keys.has(key)) continue;
@@ -145,9 +145,9 @@ function apart(named, people) {
 /** The angle between two directions, 0 to pi. */
 const turned = (a, b) => Math.abs(((a - b + 3 * Math.PI) % (2 * Math.PI)) - Math.PI);
 
-/** Return the people [{key, name, label, head}] other than the user of a reply in pictures, as `where` shows them. */
-export function othersOf(room, where) {
+/** Return the people [{key, name, label, you, head}] of a reply in pictures, as `where` shows them. */
+export function headsOf(room, where) {
   return (room?.people ?? [])
-    .filter(({ you, head, opacity }) => !you && opacity > 0 && Array.isArray(head) && head.length === 3 && head.every(Number.isFinite))
-    .map(({ name, label, head }) => ({ key: name, name, label: label ?? '', head: movePoint(where.shown, head) }));
+    .filter(({ head, opacity }) => opacity > 0 && Array.isArray(head) && head.length === 3 && head.every(Number.isFinite))
+    .map(({ name, label, you, head }) => ({ key: name, name, label: label ?? '', you, head: movePoint(where.shown, head) }));
 }

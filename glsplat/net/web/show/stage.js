@@ -9,7 +9,7 @@ import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
-import { Names, othersOf } from './names.js';
+import { Names, headsOf } from './names.js';
 import { Painter } from './painter.js';
 
 const FIRST = 3000; // ms that the place, and drawing on this device, wait for the first picture
@@ -120,7 +120,7 @@ export class Stage {
       this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
-      const names = this.names.labels(this.here.others(where), where, views[0], this.painter);
+      const names = this.names.labels(this.here.heads(where), where, views[0], this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
     } else {
       const names = this.#named(views[0]);
@@ -130,10 +130,28 @@ export class Stage {
     return sent;
   }
 
+  /** The people of the room, as the server told last: [{name, avatar, you, ...}]. */
+  get people() {
+    return this.info.room?.people ?? this.here?.people.room?.people ?? [];
+  }
+
+  /** The joints of all heads [x, y, z] in a room, in the user's space: {own, others}. */
+  get heads() {
+    const here = this.here?.choice.here && this.here.people.size > 0;
+    const found = here ? this.here.heads({ shown: IDENTITY }) : headsOf(this.info.room, { shown: IDENTITY });
+    return { own: found.find(({ you }) => you)?.head ?? null, others: found.filter(({ you }) => !you).map(({ head }) => head) };
+  }
+
+  /** The box about the user's own person in a room, by the head; null if that is not known. */
+  get ownBox() {
+    const [x, y, z] = this.heads.own ?? [];
+    return x === undefined ? null : [x - 0.2, y - 1.5, z - 0.2, x + 0.2, y + 0.23, z + 0.2];
+  }
+
   /** Return the names over the heads in the pair on the display, for an eye. */
   #named(eye) {
     const where = this.painter.shownAs?.where;
-    return where ? this.names.labels(othersOf(this.info.room, where), where, eye, this.painter) : [];
+    return where ? this.names.labels(headsOf(this.info.room, where), where, eye, this.painter) : [];
   }
 
   /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */

@@ -17,6 +17,7 @@ const HYSTERESIS = 1.25;
 const COMPANY = 1.6; // metres to the plane on which a picture of a whole room is put
 const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.1, 0.8]; // metres about where somebody stands
 const FIGURE = 0.42; // squared tangents of the frustum in which a mirror 1.2 m away shows a person whose arms hang
+const FINEST = 1.5; // pixels of a picture of a room a pixel of the display, along a side
 const MOST = 2; // sides of a square that a picture of a room has at most, of those that a person alone has
 
 export class Framing {
@@ -114,7 +115,7 @@ export class Framing {
   #roomSide(frusta, side) {
     const areas = frusta.map(({ left, right, down, up }) => (right - left) * (up - down));
     const wanted = side * Math.sqrt(Math.max(...areas) / FIGURE);
-    return Math.min(wanted, MOST * side, this.largest);
+    return Math.min(wanted, MOST * side, FINEST * this.seen, this.largest);
   }
 
   #turn(transform, now) {

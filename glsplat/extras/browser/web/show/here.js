@@ -115,15 +115,15 @@ export class Here {
     });
   }
 
-  /** Return [{key, name, label, head}] of everybody else in a room; `head`: the joint, in the room as it is shown. */
-  others(where) {
+  /** Return [{key, name, label, you, head}] of everybody in a room; `head`: the joint, in the room as it is shown. */
+  heads(where) {
     const { room } = this.people;
     if (!room || !this.#own) return [];
     const byKey = new Map(this.#own.people.map((one) => [one.key, one]));
     const shown = multiply(where.shown, invert(fromPose(room.place ?? [0, 0, 0, 0, 0, 0, 1])));
     return room.people
-      .filter(({ key, you }) => !you && byKey.has(key))
-      .map(({ key, name, label }) => ({ key: name, name, label, head: headOf(byKey.get(key), shown) }));
+      .filter(({ key }) => byKey.has(key))
+      .map(({ key, name, label, you }) => ({ key: name, name, label, you, head: headOf(byKey.get(key), shown) }));
   }
 
   /** Figures for `stats()`. */
