@@ -152,7 +152,8 @@ NAMES = """(people, where = {}, height = 512) => {
   const painter = { texture: () => ({}), fill() {} };
   const projection = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
   const eye = { transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 1.6, 0, 1], projection, viewport: { height } };
-  const all = people.map(([name, x, z], key) => ({ key, name, label: `driven by ${name}, synthetic`, head: [x, 1.5, z] }));
+  const label = (name) => `driven by ${name}, synthetic`;
+  const all = people.map(([name, x, z], key) => ({ key, name, label: label(name), head: [x, 1.5, z] }));
   return new window.Names().labels(all, where, eye, painter)
     .map(({ transform: m, width, height: high }) => [m[12], m[13] - 1.6, m[14], width, high]);
 }"""

@@ -195,7 +195,7 @@ def test_the_name_of_who_drives_is_in_the_picture_for_who_asks(somebody: Avatar)
 def test_what_nobody_agreed_to_says_so_in_every_picture(somebody: Avatar) -> None:
     policy = ConsentPolicy(without=True)
     plain = served(somebody, None, "")[0]
-    alone, room, said = served(somebody, policy, "", "room=lab&name=Ann&at=0,0,0&label=0", "room=lab&name=Ann&at=0,0,0")
+    alone, room, said = served(somebody, policy, "", "room=lab&name=Ann&at=0,0,0&label=0", "room=lab&at=0,0,0")
     for picture in (*changed(alone, plain), *changed(room, plain)):
         rows = np.nonzero(picture)[0]
         assert len(rows) > 60 and rows.min() > 256 * 0.7
