@@ -108,7 +108,8 @@ export class Stage {
     const hung = labels();
     this.painter.begin(framebuffer, transparent, bare ? LOOKS[look] : null);
     if (bare && !here) {
-      views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: hung }));
+      const names = this.#named(views[0]);
+      views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: [...names, ...hung] }));
       this.drawn();
       return sent;
     }
