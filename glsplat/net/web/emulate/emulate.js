@@ -15,7 +15,7 @@ const KEYS = [
 // [right of the head, over it, behind it] in metres and a quaternion x y z w; hanging hands have their fingers down
 const HANDS = {
   down: { left: [[-0.23, -0.93, 0.06], [-0.5, 0.5, 0.5, 0.5]], right: [[0.23, -0.93, 0.06], [-0.5, -0.5, -0.5, 0.5]] },
-  raised: { left: [[0.05, -0.25, -0.6], [0, 0, 0, 1]], right: [[0.28, -0.3, -0.5], [0, 0, 0, 1]] }, // the panel beside the left one is in sight
+  raised: { left: [[0.16, -0.13, -0.6], [0, 0, 0, 1]], right: [[0.36, -0.25, -0.5], [0, 0, 0, 1]] }, // the panel beside the left one is in sight
 };
 
 /**
