@@ -51,7 +51,6 @@ class RenderJob:
     room: RoomView | None = None  # all people of a room, instead of ``avatar`` alone
     viewer: int = 0  # number of the client; a renderer keeps state for each viewer
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
-    label: str = ""  # drawn near the head of the avatar
     notice: str = ""  # written into the picture
     mark: ResolveStep | None = None  # the watermark of the session
     others: float = 1.0  # factor on the cost limit of a room's other people (budget.others_share); 0 hides them

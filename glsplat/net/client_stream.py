@@ -257,7 +257,7 @@ class ClientStream:
     shown: AvatarInfo = ANYTHING
     account: str = ""  # name of its user; "": the server has no accounts
     driver: str = ""  # name of the avatar's driver; "": unknown
-    label: str = ""  # over the head of the one avatar
+    label: str = ""  # "driven by ...", for clients that do not show it by themselves
     notice: Callable[[], str] = field(default=lambda: "")  # returns the text that a picture drawn now has to contain
     share: CpuShare | None = None  # of the time for reading and solving; None: no limit
     video: ClientVideo | None = None  # None: the server has no video

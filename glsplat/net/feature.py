@@ -101,8 +101,8 @@ class Feature:
 
     # -------------------------------------------------------------------------------------------------------- clients
 
-    def query(self, query: Mapping[str, str]) -> Mapping[str, str]:
-        """Return the options of a client that connects, given those of its address. Raises ProtocolError."""
+    def query(self, query: Mapping[str, str], user: User | None) -> Mapping[str, str]:
+        """Return the options of an account's client that connects, given those of its address. Raises ProtocolError."""
         return query
 
     def solver(self, solver: PoseSolver | None) -> PoseSolver | None:

@@ -91,7 +91,7 @@ class RequestedOptions:
     room: str | None = None
     name: str = ""  # of the user: the account's name, else the requested one, or ""
     resume: str = ""  # token of the person in the room that this client continues; "": a new one
-    label: bool = False  # label an avatar that is shown alone, too
+    label: bool = False  # write who drives into the pictures
     place: tuple[float, float, float] | None = None  # x and z in metres, radians about y; None: the room chooses
 
 
@@ -133,13 +133,13 @@ def client_options(
         room=query.get("room"),
         name=_name(query.get("name"), user),
         resume=query.get("resume", ""),
-        label=_flag(query, "label"),
+        label=_flag(query, "label", "1" if "room" in query else "0"),
         place=_place(query.get("at")),
     )
 
 
-def _flag(query: Mapping[str, str], name: str) -> bool:
-    given = query.get(name, "0")
+def _flag(query: Mapping[str, str], name: str, default: str = "0") -> bool:
+    given = query.get(name, default)
     if given not in ("0", "1"):
         raise ProtocolError(f"{name} needs 0 or 1")
     return given == "1"

@@ -349,10 +349,11 @@ class RenderLoop:
     def _job(self, taken: Taken, solved: Solved | None) -> RenderJob:
         """Return the job of a picture: the avatar at its pose, or all people of the room."""
         client, request = taken.client, taken.request
-        pose, to_user, cameras, room = request.pose, None, taken.cameras, None
+        pose, to_user, cameras, room, words = request.pose, None, taken.cameras, None, [taken.notice, client.label]
         if client.member is not None:
             pose = None
             cameras, room = client.member.look(request, cameras, solved, taken.arrived, self.clock())
+            words = [room.words(bool(client.label)) or taken.notice]
         elif solved is not None:
             pose, to_user = solved.pose, solved.to_user
         return RenderJob(
@@ -365,8 +366,7 @@ class RenderLoop:
             room=room,
             viewer=client.number,
             detail=taken.detail.bias,
-            label=client.label,
-            notice=taken.notice,
+            notice=", ".join(filter(None, words)),
             mark=client.session.mark,
             others=0.0 if taken.alone else self._faults.others(client.address, self.clock()),
         )

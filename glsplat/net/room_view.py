@@ -1,8 +1,8 @@
-"""The people of a room at one moment, as one picture shows them, and their labels (docs/consent.md)."""
+"""The people of a room at one moment, as one picture shows them, and the words about them (docs/consent.md)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Label", "RoomView", "VisiblePerson", "driven_by"]
+__all__ = ["RoomView", "VisiblePerson", "driven_by"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,9 +24,10 @@ class VisiblePerson:
     pose: Pose | None  # in the avatar's space; None: unknown yet, the person is not shown
     transform: NDArray[np.float64]  # [4, 4] room from avatar
     opacity: float = 1.0
-    label: str = ""  # drawn near the head
+    notice: str = ""  # that has to be shown with the person; "": none
     frame_id: int | None = None  # of the request that the pose comes from
     ahead: float = 0.0  # milliseconds by which the pose was extrapolated
+    head: NDArray[np.float64] | None = None  # [3] joint of the head in the avatar's space; None: unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,29 +45,30 @@ class RoomView:
         people = [
             {"name": one.name, "avatar": one.avatar, "you": one.key == self.viewer, "at": self._at(one)}
             | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
+            | {"head": None if one.head is None else self._place(one, one.head)}
+            | {"label": driven_by([one.name], one.notice)}
             for one in self.people
         ]
         return {"name": self.room, "tick": self.tick, "people": people}
 
+    def words(self, label: bool) -> str:
+        """Return the text for the picture: the notices of all people in it and, with ``label``, who drives them."""
+        people = [one for one in self.people if one.opacity > 0]
+        notice = ", ".join(dict.fromkeys(one.notice for one in people if one.notice))
+        return driven_by([one.name for one in people], notice) if label and people else notice
+
     def _at(self, one: VisiblePerson) -> list[float]:
         """Return [x, y, z] in metres in the viewer's space: the ground below the pelvis, or higher in a jump."""
         assert one.pose is not None  # people without a pose are not in the picture
-        ground = self.from_room @ one.transform @ (*one.pose.trans, 1.0)
-        return [round(float(v), 3) for v in ground[:3]]
+        return self._place(one, one.pose.trans)
+
+    def _place(self, one: VisiblePerson, point: NDArray[np.float64]) -> list[float]:
+        """Return a point of a person's own space in the viewer's, in metres rounded to millimetres."""
+        placed = self.from_room @ one.transform @ (*point, 1.0)
+        return [round(float(v), 3) for v in placed[:3]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Label:
-    """Text over ``position`` [3] (metres), in every picture that shows any part of its thing."""
-
-    text: str
-    position: NDArray[np.float64]
-    height: float = 0.045  # metres of a line, within limits of readable pixels (backends/lettering.py)
-    opacity: float = 1.0
-    box: Callable[[], NDArray[np.float64] | None] | None = None
-    """Returns the thing's bounding box [2, 3], None for an empty thing. Without it the thing is ``position``."""
-
-
-def driven_by(name: str, notice: str = "") -> str:
-    """Return the label of a synthetic person whom ``name`` drives, with ``notice`` at its end."""
-    return ", ".join([f"driven by {name or 'somebody'}", "synthetic", *([notice] if notice else [])])
+def driven_by(names: Iterable[str], notice: str = "") -> str:
+    """Return the label of synthetic people whom ``names`` drive, with ``notice`` at its end."""
+    drivers = ", ".join(name or "somebody" for name in names)
+    return ", ".join([f"driven by {drivers}", "synthetic", *([notice] if notice else [])])

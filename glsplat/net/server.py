@@ -327,7 +327,7 @@ class Server:
         user, rights = user_of(request), self.gate.rights
         query: Mapping[str, str] = request.query
         for feature in self.features:
-            query = feature.query(query)
+            query = feature.query(query, user)
         requested = client_options(query, self._wire, self.config.session, self.catalogue.names, rights, user)
         one = self.catalogue[requested.avatar]
         solver = None if one.solver is None else one.solver(requested.height, requested.span)
@@ -353,7 +353,7 @@ class Server:
             shown=one,
             account="" if user is None else user.name,
             driver=requested.name,
-            label=driven_by(requested.name) if requested.label else "",
+            label=driven_by([requested.name]) if requested.label else "",
             notice=partial(rights.label, user, requested.avatar),
             share=share,
             video=self.drawer.encoder.video(self.clock),

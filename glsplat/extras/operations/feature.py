@@ -70,9 +70,13 @@ class StatusPages(Feature):
         return web.json_response(self.history.fields())
 
     async def _reach(self, request: web.Request) -> web.Response:
-        """Return the page's URL for another device, with a QR code that includes the token of the request."""
+        """Return the page's URL for another device, with a QR code that includes the token of the request.
+
+        ``?room=NAME`` gives an invitation into a room.
+        """
         local = is_loopback(self._host)
-        page = self._outward(request)
+        room = request.query.get("room")
+        page = self._outward(request) + (f"?room={quote(room, safe='')}" if room else "")
         kind, _, token = request.headers.get("Authorization", "").partition(" ")
         # the gate has checked the token of a server with tokens
         token = token.strip() if kind.lower() == "bearer" and self._server.stats(user_of(request))["token"] else ""

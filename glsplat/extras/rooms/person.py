@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.net.codec.body import Placement, pack_body, placement_of
+from glsplat.net.room_view import driven_by
 from glsplat.rotations import slerp, turn_between
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["FADE_S", "MAX_AHEAD_S", "SILENT_S", "Person", "PoseSample", "people_fields"]
 
@@ -49,11 +51,20 @@ class Person:
     """One person. ``seat`` is room from user [4, 4], ``resume`` the token that brings the person back."""
 
     def __init__(
-        self, key: int, name: str, avatar: str, seat: NDArray[np.float64], resume: str, now: float, label: str = ""
+        self,
+        key: int,
+        name: str,
+        avatar: str,
+        seat: NDArray[np.float64],
+        resume: str,
+        now: float,
+        notice: str = "",
+        skeleton: Skeleton | None = None,
     ) -> None:
-        self.key, self.name, self.avatar, self.seat, self.resume, self.label = key, name, avatar, seat, resume, label
+        self.key, self.name, self.avatar, self.seat, self.resume, self.notice = key, name, avatar, seat, resume, notice
         self.connected = True
         self.face: NDArray[np.float64] | None = None  # [3] between the eyes, in the room
+        self._skeleton = skeleton
         self._last_seen = now
         self._samples: deque[PoseSample] = deque(maxlen=32)
         self._packed: tuple[bytes, bytes] | None = None  # avatar file's hash, and the last sample on the wire
@@ -68,6 +79,16 @@ class Person:
     def touch(self, now: float) -> None:
         """Record a sign of life."""
         self._last_seen = max(self._last_seen, now)
+
+    def head(self, pose: Pose) -> NDArray[np.float64] | None:
+        """Return the joint of the head [3] in the avatar's space, else the highest joint; None without a skeleton."""
+        skeleton = self._skeleton
+        if skeleton is None:
+            return None
+        places = skeleton.joints
+        joint = skeleton.names.index("head") if "head" in skeleton.names else int(places[:, 1].argmax())
+        bone: NDArray[np.float64] = pose.bones(skeleton)[joint]
+        return bone[:, :3] @ places[joint] + bone[:, 3]
 
     def set_head(self, head: Sequence[float] | None) -> None:
         """Set the head position of the tracking, in the user's space; None: unknown."""
@@ -175,7 +196,8 @@ def people_fields(
     """Return ``room`` of a reply in poses: people with hashes of their avatar files, the viewer's seat and token."""
     translation, rotation, _ = placement_of(viewer.seat)
     fields = [
-        {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer, "label": one.label}
+        {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer}
+        | {"label": driven_by([one.name], one.notice)}
         | {"sha256": None if (digest := digests[one.avatar]) is None else digest.hex()}
         for one in people
     ]

@@ -22,8 +22,9 @@ from glsplat.extras.rooms.person import Person, PoseSample, people_fields
 from glsplat.extras.rooms.seats import free_seat, seat
 from glsplat.net.codec.body import MAX_BODIES, PoseHistory, Poses, for_recipient
 from glsplat.net.options import RoomError
-from glsplat.net.room_view import RoomView, VisiblePerson, driven_by
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.wire_schema import Position
+from glsplat.skinning.skeleton import Skeleton
 
 __all__ = ["Room"]
 
@@ -70,6 +71,7 @@ class Room:
         leave: Callable[[], None] = lambda: None,
         notice: str = "",  # shown over the head, beside the name
         guest: int = 1,
+        skeleton: Skeleton | None = None,  # of the avatar
     ) -> Person:
         """Add a person, or bring one back. Raises RoomError if the name is taken or the room is full.
 
@@ -96,12 +98,20 @@ class Room:
                 self._changes.pop(before.person.key, None)
             self._keys += 1
             self._version += 1
-            person = Person(self._keys, name, avatar, place, token, now, driven_by(name, notice))
-            shown = VisiblePerson(person.key, name, avatar, None, place, label=person.label)
+            person = Person(self._keys, name, avatar, place, token, now, notice, skeleton)
+            shown = VisiblePerson(person.key, name, avatar, None, place, notice=notice)
             self._guests[name] = _Guest(person, number, leave, shown)
         if before is not None and before.person.connected:
             before.leave()
         return person
+
+    def avatar_for(self, resume: str, offered: Sequence[str]) -> str:
+        """Return the avatar of the person with that token, else the first of those that fewest people wear."""
+        with self._lock:
+            if (guest := self._guest_by_token(resume, "")) is not None:
+                return guest.person.avatar
+            worn = [guest.person.avatar for guest in self._guests.values()]
+        return min(offered, key=worn.count)
 
     def leave(self, person: Person) -> None:
         """Remove a person who closed the connection on purpose."""
@@ -152,7 +162,14 @@ class Room:
             guest = self._guests.get(person.name)
             if guest is not None and guest.person is person:
                 transform = person.place(own)[1]
-                guest.shown = replace(guest.shown, pose=own.pose, transform=transform, frame_id=own.frame_id, ahead=0.0)
+                guest.shown = replace(
+                    guest.shown,
+                    pose=own.pose,
+                    head=person.head(own.pose),
+                    transform=transform,
+                    frame_id=own.frame_id,
+                    ahead=0.0,
+                )
             people = tuple(
                 replace(guest.shown, opacity=guest.person.opacity(now))
                 for guest in self._guests.values()
@@ -242,6 +259,7 @@ class Room:
                 guest.shown = replace(
                     guest.shown,
                     pose=pose,
+                    head=person.head(pose),
                     transform=person.place(newest)[1],
                     frame_id=newest.frame_id,
                     ahead=round(ahead * 1e3, 1),

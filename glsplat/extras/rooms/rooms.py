@@ -31,6 +31,20 @@ class Rooms(Feature):
         """Use the server's clock and rights."""
         self._server = server
 
+    def query(self, query: Mapping[str, str], user: User | None) -> Mapping[str, str]:
+        """Choose an avatar that nobody wears for a client that enters a room without naming one.
+
+        Those of the default's joints are considered, the default first. Who comes back keeps the avatar.
+        """
+        room = self._rooms.get(query.get("room", ""))
+        if room is None or "avatar" in query:
+            return query
+        catalogue = self._server.catalogue
+        offered = [catalogue[name] for name in self._server.gate.rights.drivable(user, catalogue.names)]
+        rigs = {one.name: None if one.skeleton is None else one.skeleton.names for one in offered}
+        alike = [name for name in rigs if rigs[name] == rigs[offered[0].name]]
+        return {**query, "avatar": room.avatar_for(query.get("resume", ""), alike)} if alike else query
+
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
         """Let a client enter the room that it asks for, new or by its token. Raises RoomError."""
         if asked.room is None:
@@ -44,7 +58,10 @@ class Rooms(Feature):
         place = None if asked.place is None else place_at(*asked.place)
         leave = partial(self._server.close_client, client.number, "connected anew elsewhere")
         now = self._server.clock()
-        person = room.join(asked.name, shown.name, now, asked.resume, place, leave, client.notice(), client.number)
+        person = room.join(
+            *(asked.name, shown.name, now, asked.resume, place, leave, client.notice(), client.number),
+            skeleton=shown.skeleton,
+        )
         client.enter(asked.room, Member(room, person, Pose.zero(len(shown.skeleton))), person.name)
 
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:

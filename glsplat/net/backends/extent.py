@@ -29,36 +29,34 @@ class Extent:
     """Bounds of the splats or vertices of each joint, in 26 directions of the zero pose.
 
     A splat or vertex belongs to the joint in its first slot (an avatar's anchor); the boxes of its other joints nearly
-    always cover it, too. With ``every``, it belongs to all joints that move it: the box then holds everything in any
-    pose, but fits less tightly.
+    always cover it, too.
     """
 
     joints: NDArray[np.intp]  # [B] joints with splats
     reach: NDArray[np.float64]  # [B, 27] metres: largest x . d, of splats over two standard deviations
 
     @classmethod
-    def of(cls, splats: Splats, skin: Skin, sigmas: float = 2.0, every: bool = False) -> Extent:
+    def of(cls, splats: Splats, skin: Skin, sigmas: float = 2.0) -> Extent:
         """Measure the drawable ``splats`` (finite, not fully transparent) to ``sigmas`` standard deviations."""
         rows = np.flatnonzero(splats.finite() & (splats.opacities > 0))
         shapes = quaternion_matrices(splats.quats[rows]) * splats.scales[rows, None, :]
-        return cls._of(splats.means[rows].astype(np.float64), skin.take(rows), sigmas * shapes, every)
+        return cls._of(splats.means[rows].astype(np.float64), skin.take(rows), sigmas * shapes)
 
     @classmethod
-    def of_points(cls, points: NDArray[np.float64], skin: Skin, every: bool = False) -> Extent:
+    def of_points(cls, points: NDArray[np.float64], skin: Skin) -> Extent:
         """Measure points [N, 3] without a size."""
-        return cls._of(points, skin, np.zeros((len(points), 3, 1)), every)
+        return cls._of(points, skin, np.zeros((len(points), 3, 1)))
 
     @classmethod
-    def _of(cls, points: NDArray[np.float64], skin: Skin, shapes: NDArray[np.float64], every: bool) -> Extent:
+    def _of(cls, points: NDArray[np.float64], skin: Skin, shapes: NDArray[np.float64]) -> Extent:
         """Measure ellipsoids x + M u, |u| <= 1: ``points`` x [N, 3], ``shapes`` M [N, 3, K]."""
         squares = np.einsum("nik,njk->nij", shapes, shapes).reshape(-1, 9)
         pairs = np.einsum("di,dj->dij", _DIRECTIONS, _DIRECTIONS).reshape(-1, 9)
         reaches = points @ _DIRECTIONS.T + np.sqrt(np.maximum(squares @ pairs.T, 0.0))
-        rows, slot = np.nonzero(skin.weights > 0) if every else (np.arange(len(points)), 0)
-        owners = skin.joints[rows, slot]
+        owners = skin.joints[:, 0]
         order = np.argsort(owners, kind="stable")
         joints, starts = np.unique(owners[order], return_index=True)
-        reach = np.maximum.reduceat(reaches[rows[order]], starts, axis=0) if len(joints) else np.empty((0, 27))
+        reach = np.maximum.reduceat(reaches[order], starts, axis=0) if len(joints) else np.empty((0, 27))
         return cls(joints.astype(np.intp), frozen(reach))
 
     def box(self, bones: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -93,12 +91,12 @@ class Extent:
 class FigureBounds:
     """The boxes of one figure, measured on first use. Splats count with ``sigmas`` standard deviations.
 
-    With ``whole`` the box holds all of the figure in any pose; otherwise nearly all, and fits more tightly.
+    A box holds nearly all of the figure.
     """
 
-    def __init__(self, figure: Rigged, sigmas: float, whole: bool = False) -> None:
+    def __init__(self, figure: Rigged, sigmas: float) -> None:
         self.figure: Rigged = figure
-        self._sigmas, self._whole = sigmas, whole
+        self._sigmas = sigmas
         self._state: tuple[object, ...] = ()
         self._box: NDArray[np.float64] | None = None
 
@@ -135,9 +133,9 @@ class FigureBounds:
 
     @cached_property
     def _extent(self) -> Extent:
-        figure, whole = self.figure, self._whole
+        figure = self.figure
         if isinstance(figure, Avatar):
-            return Extent.of(figure.splats, figure.skin, self._sigmas, whole)
+            return Extent.of(figure.splats, figure.skin, self._sigmas)
         used = np.unique(figure.faces)
         skin = Skin.create(figure.joints[used], figure.weights[used], len(figure.skeleton), influences=8)
-        return Extent.of_points(figure.vertices[used], skin, whole)
+        return Extent.of_points(figure.vertices[used], skin)

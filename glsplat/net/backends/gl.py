@@ -132,7 +132,7 @@ class RendererBackend:
             renderer.drop_targets()
             raise
         self._check_alive()
-        written = self._pool.write(one, request, images)
+        written = self._pool.write(request, images)
         return Rendered(
             images,
             timings,

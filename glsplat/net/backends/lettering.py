@@ -1,141 +1,80 @@
-"""Draws labels and notices into finished 8-bit pictures, on the CPU.
+"""Writes a notice into finished 8-bit pictures, on the CPU.
 
-Text is composited after projection: each board of text is upright, wholly inside the picture and of a readable size,
-whatever the cameras are.
+Text is composited after projection: its board is upright, wholly inside the picture and of a readable size, whatever
+the cameras are.
 """
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.net.room_view import Label
 from glsplat.renderer.stats import Box, union
 
-__all__ = ["draw_labels"]
+__all__ = ["write_notice"]
 
-_MIN_LINE_PX, _MIN_LINE_SHARE = 12.0, 1 / 40  # of a line: pixels, and of the picture's height, however far away it is
-_MAX_LINE_SHARE = 1 / 8  # of the picture's height: a line at most, however near it is
+_MIN_LINE_PX = 12.0  # of a line
+_LINE_SHARE = 0.03  # of the picture's height, a line
 _MAX_BOARD_SHARE = 0.5  # of the picture's height: all lines of a board at most
 _MAX_LINES = 8
-_MIN_DISTANCE_M = 0.3  # metres from the eyes: labels stand no nearer, so that both eyes can read them
-_NOTICE_DISTANCE_M = 1.5  # metres from the eyes, where the picture allows it
-_NOTICE_PLACE = 0.8  # of the way from the middle of the picture to its lower edge
-_NOTICE_SHARE = 0.03  # of the picture's height, a line
+_MIN_DISTANCE_M = 0.3  # metres from each eye: nearer than that no point is projected
+_DISTANCE_M = 1.5  # metres from the eyes, where the picture allows it
+_PLACE = 0.8  # of the way from the middle of the picture to its lower edge
 _MAX_OFFSET_PX = 1e7  # pixels from the picture, farther than which nothing is placed
-_ROUNDING_PX = 1e-3  # pixels
-_RIM_PX = 2.0  # pixels around a picture that count as in it: so far what is smaller than a pixel is spread
 _ROW_PX, _FONT_PX, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters before they are scaled; of their strokes
 _MARGIN_PX = 8
 _MAX_WIDTH_PX = 8192
-_GAP_PX, _MOVED_OPACITY = 2.0, 0.8  # pixels between two boards, and the opacity of one that had to give way
 _BOARD_ALPHA, _INK_GREY = 0.6, 240  # alpha of the board, grey of the letters
-_CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 F64 = NDArray[np.float64]
 
 
-@dataclass(slots=True, eq=False)
-class _Board:
-    """Text in a picture: ``boxes`` [V, 4] are its left, upper, right and lower edge in each view, in pixels."""
-
-    patch: NDArray[np.uint8]
-    boxes: F64
-    opacity: float
-
-
-def draw_labels(images: NDArray[np.uint8], cameras: Sequence[Camera], labels: Sequence[Label], notice: str = "") -> Box:
-    """Draw labels and a notice into premultiplied images [V, H, W, 4]; return the box that changed, which may be empty.
-
-    A label is in all views if any view shows its thing. Of two labels that would overlap, the farther one moves above,
-    below or beside the nearer, and is fainter. The notice does not move.
-    """
+def write_notice(images: NDArray[np.uint8], cameras: Sequence[Camera], text: str) -> Box:
+    """Write a text near the lower edge of premultiplied images [V, H, W, 4]; return the box that changed."""
     size = cameras[0].width, cameras[0].height
-    boards: list[_Board] = []
-    if notice:
-        position, line = _notice_position(cameras), max(_least(size), _NOTICE_SHARE * size[1])
-        boards.append(_placed(notice, _seen(cameras, position)[0], line, size, 1.0, []))
-    middle = np.mean([camera.position for camera in cameras], axis=0)
-    for label in sorted(labels, key=lambda one: float(np.linalg.norm(one.position - middle))):
-        if label.opacity > 0 and _shown(label, cameras):
-            centres, depth = _seen(cameras, label.position)
-            line = max(_least(size), min(_MAX_LINE_SHARE * size[1], label.height * float(cameras[0].K[1, 1]) / depth))
-            boards.append(_placed(label.text, centres, line, size, label.opacity, [one.boxes for one in boards]))
+    line = max(_MIN_LINE_PX, _LINE_SHARE * size[1])
+    patch = _fitted(text, line, size)
+    tall = _line(patch, line, size) * len(patch) / _ROW_PX
+    half = np.array([tall * patch.shape[1] / len(patch), tall]) / 2
+    centres = _seen(cameras, _position(cameras))
     changed: Box = (0, 0, 0, 0)
-    for board in reversed(boards):  # the farthest first, the notice last
-        for image, (left, top, right, bottom) in zip(images, board.boxes, strict=True):
-            changed = union(changed, _draw(image, board, left, top, right - left, bottom - top))
+    boxes = _inside(np.concatenate([centres - half, centres + half], axis=1), size)
+    for image, (left, top, right, bottom) in zip(images, boxes, strict=True):
+        changed = union(changed, _draw(image, patch, left, top, right - left, bottom - top))
     return changed
 
 
-def _least(size: tuple[int, int]) -> float:
-    """Return the smallest readable height of a line, in pixels, in a picture of that size."""
-    return max(_MIN_LINE_PX, _MIN_LINE_SHARE * size[1])
-
-
-def _notice_position(cameras: Sequence[Camera]) -> F64:
-    """Return the position [3] of a notice, in front of both eyes and near the lower edge of the first eye's view."""
+def _position(cameras: Sequence[Camera]) -> F64:
+    """Return the position [3] of the board, in front of both eyes and near the lower edge of the first eye's view."""
     first = cameras[0]
-    down = _NOTICE_PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
+    down = _PLACE * (first.height - float(first.K[1, 2])) / float(first.K[1, 1])
     eyes = np.mean([camera.position for camera in cameras], axis=0)
-    position: F64 = eyes + _NOTICE_DISTANCE_M * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
+    position: F64 = eyes + _DISTANCE_M * (first.viewmat[2, :3] + down * first.viewmat[1, :3])
     return position
 
 
-def _seen(cameras: Sequence[Camera], position: F64) -> tuple[F64, float]:
-    """Project a position; return its pixels [V, 2] and its mean depth in metres, at least ``_MIN_DISTANCE_M``."""
+def _seen(cameras: Sequence[Camera], position: F64) -> F64:
+    """Project a position; return its pixels [V, 2]."""
     points = np.array([camera.viewmat[:3, :3] @ position + camera.viewmat[:3, 3] for camera in cameras])
     depths = np.maximum(points[:, 2], _MIN_DISTANCE_M)
     pixels = [
         (camera.K[0, 0] * x / depth + camera.K[0, 2], camera.K[1, 1] * y / depth + camera.K[1, 2])
         for camera, (x, y, _), depth in zip(cameras, points, depths, strict=True)
     ]
-    return np.clip(np.array(pixels), -_MAX_OFFSET_PX, _MAX_OFFSET_PX), float(depths.mean())
-
-
-def _shown(label: Label, cameras: Sequence[Camera]) -> bool:
-    """Return whether any view may show a part of a label's thing."""
-    if any(_meets(camera, label.position[None]) for camera in cameras):
-        return True
-    box = None if label.box is None else label.box()
-    return box is not None and any(_meets(camera, box[_CORNERS, (0, 1, 2)]) for camera in cameras)
-
-
-def _meets(camera: Camera, corners: F64) -> bool:
-    """Return whether the hull of corners [N, 3] may be in a picture: not all are beyond one of its edges."""
-    x, y, z = (corners @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]).T
-    right, down = camera.K[0, 0] * x + camera.K[0, 2] * z, camera.K[1, 1] * y + camera.K[1, 2] * z
-    depth = z > camera.near, z < camera.far
-    across = right > -_RIM_PX * z, right < (camera.width + _RIM_PX) * z
-    along = down > -_RIM_PX * z, down < (camera.height + _RIM_PX) * z
-    return all(bool(each.any()) for each in (*depth, *across, *along))
-
-
-def _placed(
-    text: str, centres: F64, line: float, size: tuple[int, int], opacity: float, taken: Sequence[F64]
-) -> _Board:
-    """Return text of about ``line`` pixels a line, centred at ``centres`` [V, 2] or as near as possible."""
-    patch = _fitted(text, line, size)
-    tall = _line(patch, line, size) * len(patch) / _ROW_PX
-    half = np.array([tall * patch.shape[1] / len(patch), tall]) / 2
-    wanted = _inside(np.concatenate([centres - half, centres + half], axis=1), size)
-    boxes = _apart(wanted, size, taken)
-    return _Board(patch, boxes, opacity * (1.0 if boxes is wanted else _MOVED_OPACITY))
+    return np.clip(np.array(pixels), -_MAX_OFFSET_PX, _MAX_OFFSET_PX)
 
 
 def _fitted(text: str, line: float, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Return text in as few lines as are readable in a picture of that size, else in those of the largest letters."""
     best = _patch(text, 1)
     for lines in range(2, _MAX_LINES + 1):
-        if _line(best, line, size) >= min(line, _least(size)):
+        if _line(best, line, size) >= min(line, _MIN_LINE_PX):
             break
         best = max(best, _patch(text, lines), key=lambda patch: _line(patch, line, size))
     return best
@@ -154,46 +93,15 @@ def _inside(boxes: F64, size: tuple[int, int]) -> F64:
     return boxes + np.concatenate([moves, moves], axis=1)
 
 
-def _apart(boxes: F64, size: tuple[int, int], taken: Sequence[F64]) -> F64:
-    """Move ``boxes`` [V, 4] as little as possible so that no view shows them over ``taken``: up, else down, or aside.
-
-    The move is the same in all views. They stay where they are if nothing is in the way, or there is no room.
-    """
-    if not _covers(boxes[None], taken)[0]:
-        return boxes
-    others = np.array(taken)  # [T, V, 4]
-    # moves that end next to one of the others
-    before = (others[:, :, :2] - boxes[:, 2:]).min(axis=1) - _GAP_PX
-    behind = (others[:, :, 2:] - boxes[:, :2]).max(axis=1) + _GAP_PX
-    columns, rows = np.concatenate([[(0.0, 0.0)], before, behind]).T
-    for across, along in ((columns[:1], rows[rows <= 0]), (columns[:1], rows), (columns, rows)):
-        moves = np.array(list(product(across, along)))
-        moved = boxes + np.tile(moves, 2)[:, None]
-        over = np.maximum(-moved[:, :, :2], moved[:, :, 2:] - size).max(axis=(1, 2))  # pixels beyond the picture
-        fits = over < _ROUNDING_PX
-        fits[fits] = ~_covers(moved[fits], taken)
-        if fits.any():
-            return np.asarray(moved[fits][np.abs(moves[fits]).sum(axis=1).argmin()])
-    return boxes
-
-
-def _covers(boxes: F64, taken: Sequence[F64]) -> NDArray[np.bool_]:
-    """Return [N] whether any view shows boxes [N, V, 4] over one of ``taken``."""
-    found = np.zeros(len(boxes), np.bool_)
-    for other in taken:
-        apart = (boxes[:, :, :2] >= other[:, 2:]) | (other[:, :2] >= boxes[:, :, 2:])
-        found |= ~np.all(np.any(apart, axis=2), axis=1)
-    return found
-
-
-def _draw(image: NDArray[np.uint8], board: _Board, left: float, top: float, width: float, height: float) -> Box:
+def _draw(
+    image: NDArray[np.uint8], patch: NDArray[np.uint8], left: float, top: float, width: float, height: float
+) -> Box:
     """Draw a board into a picture at subpixel accuracy; return the box that changed."""
-    patch = board.patch
     x0, y0 = max(0, int(np.floor(left))), max(0, int(np.floor(top)))
     x1, y1 = min(image.shape[1], int(np.ceil(left + width))), min(image.shape[0], int(np.ceil(top + height)))
     # shrink first, so that thin strokes do not flicker: warping samples only four pixels
     shrunk = max(1, min(patch.shape[1], round(width))), max(1, min(patch.shape[0], round(height)))
-    patch = cv2.convertScaleAbs(cv2.resize(patch, shrunk, interpolation=cv2.INTER_AREA), alpha=board.opacity)
+    patch = np.asarray(cv2.resize(patch, shrunk, interpolation=cv2.INTER_AREA), np.uint8)
     # pixel (i, j) covers [i, i+1) x [j, j+1) here, OpenCV's centres are at whole numbers
     across, along = width / patch.shape[1], height / patch.shape[0]
     warp = np.array([[across, 0, left - x0 + (across - 1) / 2], [0, along, top - y0 + (along - 1) / 2]])

@@ -59,14 +59,13 @@ class RendererPool:
         return self._cache.get((shown, ""), lambda: SceneRenderer(self._shown(shown), self._make))
 
     @staticmethod
-    def write(one: SceneRenderer, job: RenderJob, images: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-        """Draw the labels and notice of a job into its images [V, H, W, 4]; return the box that changed."""
-        labels = one.labels(job)
-        if not labels and not job.notice:
+    def write(job: RenderJob, images: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+        """Write the notice of a job into its images [V, H, W, 4]; return the box that changed."""
+        if not job.notice:
             return 0, 0, 0, 0
-        from glsplat.net.backends.lettering import draw_labels  # loaded late: few need OpenCV, and it loads slowly
+        from glsplat.net.backends.lettering import write_notice  # loaded late: few need OpenCV, and it loads slowly
 
-        return draw_labels(images, job.cameras, labels, job.notice)
+        return write_notice(images, job.cameras, job.notice)
 
     def release(self) -> None:
         """Release all renderers."""

@@ -17,7 +17,7 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.extent import FigureBounds
-from glsplat.net.room_view import Label, RoomView, VisiblePerson
+from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.renderer.checks import checked_pose
 from glsplat.renderer.levels import Selector
@@ -28,13 +28,6 @@ from glsplat.skinning.skeleton import Skeleton
 __all__ = ["SceneRenderer"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
-
-_LABEL_HEIGHT_M = 0.3  # metres from the joint of the head to the middle of the label, of a person of _LABEL_STATURE_M
-_LABEL_STATURE_M = 1.7  # metres
-
-_LABEL_SIGMAS = 4.0
-"""Standard deviations of a splat that count for its label: a fifth more than are drawn, as splats that are projected
-beside the picture come out a little larger (RenderConfig.max_sigma)."""
 
 _PLACE_SIGMAS = 2.0  # standard deviations of a splat that count for the box of an avatar
 
@@ -57,7 +50,6 @@ class _Shown:
 
     figure: Rigged
     headless_figure: Rigged
-    label_bounds: FigureBounds
     whole: tuple[Item, ...]
     headless: tuple[Item, ...]  # shown in pictures that hide the person's own head
     split: bool  # ``headless`` lacks the head; False: no picture has needed that yet
@@ -171,20 +163,6 @@ class SceneRenderer:
         people = _PEOPLE | (_own(keys.index(view.viewer)) if hidden else _HEADS)
         return [replace(camera, layers=camera.layers | people) for camera in job.cameras]
 
-    def labels(self, job: RenderJob) -> list[Label]:
-        """Return the labels of all people, also of those who were too costly to draw.
-
-        In a room the viewer's own label is included only where their own head is shown.
-        """
-        view = self._view
-        own = view.viewer if job.room is not None and _hides_head(job) else None
-        return [
-            _label_of(one, shown, self.scene.transform @ one.transform)
-            for one in view.people
-            if one.label and one.key != own and one.key not in self._unfit
-            if (shown := self._people[one.key]) is not None
-        ]
-
     def places(self, job: RenderJob) -> dict[str, list[float]]:
         """Return ``Rendered.places`` of a client's one avatar, if the job requests it."""
         view = self._view
@@ -211,7 +189,7 @@ class SceneRenderer:
         if one is None:
             return RoomView("", 0, 0, ())
         pose = one.pose if job.pose is None else job.pose
-        person = VisiblePerson(0, one.name, job.avatar, pose, one.transform, one.opacity, job.label)
+        person = VisiblePerson(0, one.name, job.avatar, pose, one.transform, one.opacity)
         return RoomView("", 0, 0, (person,))
 
     def _driven_figure(self, name: str) -> Rigged:
@@ -288,30 +266,14 @@ def _items(shown: _Shown | None) -> tuple[Item, ...]:
 
 def _shown(name: str, figure: Rigged, split: bool) -> _Shown:
     """Return the items of a person called ``name``, with the head ``split`` off. Raises PoseError without a head."""
-    whole, bounds = Item(figure, name=name), FigureBounds(figure, _LABEL_SIGMAS, whole=True)
+    whole = Item(figure, name=name)
     if not split:
-        return _Shown(figure, figure, bounds, (whole,), (whole,), split)
+        return _Shown(figure, figure, (whole,), (whole,), split)
     rest = figure.without("head")
     if not isinstance(figure, Avatar) or not isinstance(rest, Avatar):
-        return _Shown(figure, rest, bounds, (whole,), (Item(rest, name=name),), split)
+        return _Shown(figure, rest, (whole,), (Item(rest, name=name),), split)
     parts = [Item(part, name=name) for part in (rest, figure.only("head"))]
-    return _Shown(figure, rest, bounds, tuple(parts), tuple(parts[:1]), split)
-
-
-def _label_of(one: VisiblePerson, shown: _Shown, transform: NDArray[np.float64]) -> Label:
-    """Return the label of a person at ``transform``: over the head, or over the highest joint of a rig without one.
-
-    It fades later than a single splat does, because several splats of a body overlap.
-    """
-    skeleton, bounds = shown.figure.skeleton, shown.label_bounds
-    rest = skeleton.rest[:, :3, 3]
-    joint = skeleton.names.index("head") if "head" in skeleton.names else int(rest[:, 1].argmax())
-    bones = np.eye(4)[:3] if one.pose is None else one.pose.bones(skeleton)[joint]
-    stature = float(rest[:, 1].max() - rest[:, 1].min())
-    above = bones @ np.append(rest[joint], 1.0) + (0, _LABEL_HEIGHT_M * stature / _LABEL_STATURE_M, 0)
-    position = np.asarray(transform[:3, :3] @ above + transform[:3, 3], np.float64)
-    box = partial(bounds.box, one.pose, transform)
-    return Label(one.label, position, opacity=1 - (1 - one.opacity) ** 8, box=box)
+    return _Shown(figure, rest, tuple(parts), tuple(parts[:1]), split)
 
 
 def _feet(skeleton: Skeleton, pose: Pose, transform: NDArray[np.float64]) -> NDArray[np.float64] | None:

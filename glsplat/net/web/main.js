@@ -1,7 +1,6 @@
 // The page of docs/vr.md: creates its parts and connects them.
 
 import { Page } from './page.js';
-import { Settings } from './settings.js';
 import { Dock } from './show/dock.js';
 import { Elsewhere } from './show/elsewhere.js';
 import { Menu, numbers } from './show/menu.js';
@@ -9,12 +8,15 @@ import { Orbit } from './show/orbit.js';
 import { Stage } from './show/stage.js';
 import { Viewer } from './show/viewer.js';
 import { Immersive, support } from './show/xr.js';
-import { SPLATS_CACHE } from './storage.js';
+import { NAME, Settings } from './settings.js';
+import { SPLATS_CACHE, browserStorage } from './storage.js';
 import { Connection } from './stream/connection.js';
+import { Tabs } from './stream/tabs.js';
 import { Calibration } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Living } from './track/living.js';
 import { Recorder } from './track/recorder.js';
+import { STRIDE, Steps, TURN } from './track/steps.js';
 
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const SOON = 2000; // ms between requests to a server that still loads avatars
@@ -23,18 +25,20 @@ const CIRCLE = 1.2; // metres from the middle of a room to its seats, at least
 const ENOUGH = 15; // pictures a second below which the page shows a note
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
 
-const settings = new Settings();
+const asked = new URLSearchParams(location.search);
+const settings = new Settings(browserStorage(), Object.fromEntries([...asked].filter(([name]) => ['room', 'name'].includes(name))));
 const page = new Page(document, settings);
 const canvas = document.getElementById('canvas');
 const gl = canvas.getContext('webgl2', { xrCompatible: true, antialias: false, alpha: false });
 const calibration = new Calibration();
 const recorder = new Recorder();
 const connection = new Connection(() => ({
-  avatar: chosenAvatar()?.name ?? settings.get('avatar'),
+  avatar: settings.get('room') && !settings.chosen('avatar') ? '' : chosenAvatar()?.name ?? settings.get('avatar'), // '': the room's choice
   height: settings.get('height') ?? measured?.height,
   span: measured?.span,
   room: settings.get('room'),
   name: settings.get('room') ? settings.get('name') : '',
+  label: settings.get('room') ? 0 : '', // the page draws names by itself
 }));
 let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
 let offer = null; // answer of GET /session
@@ -46,14 +50,9 @@ if (!gl) {
   throw new Error('no WebGL 2');
 }
 
-const asked = new URLSearchParams(location.search);
-if (asked.has('emulate')) {
-  const { emulate } = await import('./emulate/emulate.js'); // 260 kB
-  emulate(canvas);
-}
 const stage = new Stage(gl, connection, settings);
 const orbit = new Orbit();
-const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => speaking(drive));
+const viewer = new Viewer(canvas, stage, orbit, settings, (drive) => steps.moved(speaking(drive)));
 viewer.onAsked = () => voice?.sent();
 const menu = new Menu(settings, stage, recorder, {
   calibrate: () => calibration.begin(performance.now(), { height: settings.get('height') }),
@@ -61,6 +60,9 @@ const menu = new Menu(settings, stage, recorder, {
   leave: () => immersive.end(),
   microphone: () => voice.mute(voice.state === 'on'),
   more: () => talk?.rows() ?? [],
+  worn: () => titleOf(chosenAvatar()?.name),
+  wears: () => chosenAvatar()?.name,
+  met: () => sentence(),
 });
 const immersive = new Immersive(gl, stage, settings, menu, {
   calibration,
@@ -68,6 +70,8 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   driven: () => chosenAvatar()?.tracking ?? true,
   speaks: (sample) => voice?.speaks(sample) ?? sample,
   measured: () => measured,
+  radius: () => circle(),
+  others: () => stage.heads.others,
   onCalibrated: (result) => {
     measured = result;
     calibration.save(result);
@@ -78,6 +82,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   onEnd: () => {
     if (saves) toggleRecording();
     page.inside(false);
+    orbit.attach(canvas);
     viewer.start();
     tell();
   },
@@ -102,6 +107,7 @@ const addTalk = once(async () => {
   await addVoice(); // has the microphone
   const { addTalk: add } = await import('./talk/panel.js');
   talk = add(document.getElementById('voice'), { connection, voice, stage, ...offer.talk });
+  talk.talk.addEventListener('speaking', ({ detail }) => stage.names.speaking(detail.name, detail.speaking));
   talk.offered(settings.get('room'));
 });
 
@@ -139,32 +145,78 @@ const dock = new Dock(document, settings, {
   add: () => page.show(photo && offer?.upload ? 'photo' : 'no-photo'),
   worn: () => chosenAvatar()?.name,
 });
-const elsewhere = new Elsewhere(document, async () => (await connection.fetch('reach')).json());
+const elsewhere = new Elsewhere(document, async (room) => (await connection.fetch(room ? `reach?room=${encodeURIComponent(room)}` : 'reach')).json());
 
-let guest = { room: '', name: '' }; // avatar in a room while the user has chosen none
+const steps = new Steps(() => stage.heads.others); // of the flat page
+const tabs = new Tabs(
+  () => (connection.state === 'open' ? person() : ''),
+  () => {
+    connection.stop();
+    gone = true;
+    tell();
+  },
+);
+let gone = false; // another tab has taken over
+let taken = ''; // the person that another tab has, who is wanted here
 
-/** Return the avatar of the user: the chosen one; in a room, without a choice, the next of the list for each guest. */
+/** Return who the user is in a room, for other tabs: '' while alone or without a name. */
+const person = () => (settings.get('room') && settings.get('name') ? `${settings.get('room')}/${settings.get('name')}` : '');
+
+const you = () => (settings.get('room') ? stage.people.find((one) => one.you) : undefined);
+
+const titleOf = (name) => offer?.avatars.find((one) => one.name === name)?.title || (name ?? '');
+
+/** Return the avatar of the user: the chosen one; in a room, without a choice, the one that the server chose. */
 function chosenAvatar() {
   if (!offer) return undefined;
-  const named = (name) => offer.avatars.find((one) => one.name === name);
-  const room = settings.get('room');
-  if (!room || settings.chosen('avatar')) return named(settings.get('avatar')) ?? offer.avatars[0];
-  const found = offer.rooms?.find(({ name }) => name === room);
-  if (guest.room !== room && found) guest = { room, name: offer.avatars[found.people % offer.avatars.length]?.name };
-  return named(guest.name) ?? offer.avatars[0];
+  const name = settings.get('room') && !settings.chosen('avatar') ? you()?.avatar : settings.get('avatar');
+  return offer.avatars.find((one) => one.name === name) ?? offer.avatars[0];
 }
 
-let stood = ''; // room of the camera's position
+/** Return the radius in metres of the circle on which the people of the room stand; 0 while alone. */
+function circle() {
+  const found = offer?.rooms?.find(({ name }) => name === settings.get('room'));
+  return found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/seats.py
+}
+
+let stood = null; // radius of the room of the camera's position
 
 /** In a room, move the camera behind the user, who stands on the circle of seats, so that it shows everybody. */
 function standAround() {
-  const room = settings.get('room');
-  const found = offer?.rooms?.find(({ name }) => name === room);
-  if (room === stood || (room && !found)) return;
-  stood = room;
-  const radius = found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/seats.py
-  if (found) orbit.standBack([0, 0.95, radius], radius);
-  else orbit.reset();
+  const radius = circle();
+  if (radius === stood) return;
+  stood = radius;
+  steps.reset();
+  if (!radius) {
+    orbit.standAlone();
+    return;
+  }
+  orbit.standBack([0, 0.95, radius], radius);
+  orbit.walk = (forth, right, turns) => {
+    const { own } = stage.heads;
+    const m = steps.matrix;
+    if (!own) return;
+    if (turns) steps.turn(own, turns * TURN);
+    else steps.step(own, [m[8], 0, m[10]], STRIDE * forth, STRIDE * right);
+    const by = turns ? [0, 0, 0] : [0, 1, 2].map((i) => steps.matrix[12 + i] - m[12 + i]);
+    orbit.goAlong(by, Math.atan2(steps.matrix[8], steps.matrix[10]));
+  };
+}
+
+/** Return {room, name, avatar, others: [{name, speaks}]} of the room that the user is in; null while alone. */
+function company() {
+  const own = you();
+  if (!own || connection.state !== 'open') return null;
+  const others = stage.people.filter((one) => !one.you).map(({ name }) => ({ name, speaks: stage.names.speaks(name) }));
+  return { room: settings.get('room'), name: own.name, avatar: titleOf(own.avatar), others };
+}
+
+/** Return a line on it for the panel. */
+function sentence() {
+  const met = company();
+  if (!met) return '';
+  const others = met.others.map(({ name, speaks }) => (speaks ? `● ${name}` : name)).join(', ');
+  return `You are ${met.name}${others ? `; with ${others}` : '; nobody else yet'}`;
 }
 
 /** Add the voice's mouth to what drives the avatar. An avatar that cannot be driven gets none. */
@@ -213,11 +265,14 @@ function offered(session) {
   settings.setOptions('avatar', session.avatars.map(({ name, title }) => ({ value: name, label: title || name })));
   const rooms = (session.rooms ?? []).map(({ name, people, seats }) => ({ value: name, label: `${name} (${people} of ${seats})` }));
   settings.setOptions('room', [{ value: '', label: 'None: alone' }, ...rooms]);
+  if (asked.get('room') && !rooms.some(({ value }) => value === asked.get('room'))) complain(`there is no room "${asked.get('room')}" here`);
+  if (!NAME.test(asked.get('name') ?? '')) complain('the name in the address is not used: up to 32 letters and digits are needed');
   const drivers = [{ value: 'rest', label: 'Standing still' }];
   for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
   const sizes = sizesUpTo(session.max_side);
+  stage.framing.largest = session.max_side / 1.5;
   settings.setOptions('size', sizes.map(named));
   if (session.rate && sizes.includes(session.size[0])) settings.setDefault('size', session.size[0]);
   const slow = session.rate && session.rate < ENOUGH;
@@ -269,10 +324,23 @@ async function text(path) {
   return response.text();
 }
 
+/** Emulate a headset for whoever has none. */
+async function emulated() {
+  const { emulate } = await import('./emulate/emulate.js'); // 260 kB
+  emulate(canvas, {
+    step: (...strides) => immersive.step(...strides),
+    point: (at) => (immersive.pointer = at),
+    click: () => immersive.click(),
+    end: () => immersive.end(),
+  });
+  page.xr(await support());
+}
+
 async function enter(mode) {
   try {
     viewer.stop();
     await immersive.enter(mode);
+    orbit.detach();
     page.inside(true);
     tell();
   } catch (error) {
@@ -308,11 +376,12 @@ function toggleRecording() {
 function tell() {
   const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
-  const said = stage.notice ? capital(stage.notice) : stage.link || words[connection.state];
+  const elsewhereOpen = gone || (taken && taken === person()) ? 'You are in this room in another tab.' : '';
+  const said = (connection.state !== 'open' && elsewhereOpen) || (stage.notice ? capital(stage.notice) : stage.link || words[connection.state]);
   page.status(said + where, stage.notice ? 'error' : 'info');
-  const waits = connection.state === 'waiting' && connection.problem !== 'token';
-  const name = chosenAvatar()?.title || (chosenAvatar()?.name ?? 'glsplat');
-  page.title(name, waits ? 'Try again now' : '');
+  const waits = gone || (connection.state === 'waiting' && connection.problem !== 'token');
+  page.title(titleOf(chosenAvatar()?.name) || 'glsplat', waits ? (elsewhereOpen ? 'Continue here' : 'Try again now') : '');
+  page.company(company());
 }
 
 /** Show a message for some seconds, on the page and in the room. */
@@ -326,15 +395,44 @@ const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 connection.addEventListener('state', () => {
   tell();
   if (connection.problem === 'token') begin();
+  if (connection.state === 'open') taken = '';
+  if (connection.problem === 'refused' && person() && connection.state === 'waiting') seekTab();
   if (connection.state === 'open' && (!offer || connection.opened > 1)) askOffer(); // the server may be another one
 });
 connection.addEventListener('offer', ({ detail }) => offered(detail));
 connection.addEventListener('complaint', tell);
 
+/** Find out whether it is another tab of this browser that has the person. */
+async function seekTab() {
+  const who = person();
+  if ((await tabs.has(who)) && who === person()) taken = who;
+  tell();
+}
+
+/** Continue as the person that another tab has, or try again. */
+async function again() {
+  if (gone || taken) await tabs.take(person());
+  gone = false;
+  if (connection.state === 'off') connection.restart();
+  else connection.hurry();
+}
+
+let worn = ''; // avatar that the server chose
+
+connection.addEventListener('reply', () => {
+  const own = you()?.avatar ?? '';
+  if (own === worn) return;
+  worn = own;
+  wear();
+  dock.show();
+});
+
 page.addEventListener('enter-vr', () => enter('vr'));
+page.addEventListener('try-vr', () => emulated().then(() => enter('vr')));
+page.addEventListener('invite', () => elsewhere.open(settings.get('room')));
 page.addEventListener('enter-ar', () => enter('ar'));
 page.addEventListener('elsewhere', () => elsewhere.open());
-page.addEventListener('again', () => connection.hurry());
+page.addEventListener('again', again);
 page.addEventListener('face', () => orbit.toggleFace());
 page.addEventListener('record', toggleRecording);
 page.addEventListener('calibrate', () => menu.press('calibrate'));
@@ -410,6 +508,7 @@ window.glsplat = Object.freeze({
   stats: () => ({ session: immersive.mode || 'none', view: settings.get('view'), ...stage.stats(performance.now()) }),
 });
 
+if (asked.has('emulate')) await emulated();
 begin();
 drive();
 viewer.start();

@@ -3,10 +3,10 @@
 
 const CHOICES = ['view', 'place', 'avatar', 'room', 'size', 'driver', 'drawn'];
 const FLAGS = ['light', 'stereo', 'figures'];
-const BUTTONS = ['enter-vr', 'enter-ar', 'elsewhere', 'again', 'face', 'record', 'calibrate', 'fullscreen'];
+const BUTTONS = ['enter-vr', 'enter-ar', 'try-vr', 'elsewhere', 'invite', 'again', 'face', 'record', 'calibrate', 'fullscreen'];
 
 /**
- * Events: 'enter-vr', 'enter-ar', 'elsewhere' (another device), 'again' (try it once more), 'face', 'record', 'calibrate',
+ * Events: 'enter-vr', 'enter-ar', 'try-vr' (without a headset), 'elsewhere' (another device), 'invite', 'again' (once more), 'face', 'record', 'calibrate',
  * 'fullscreen'; 'token' (detail: text), 'file' (a File).
  */
 export class Page extends EventTarget {
@@ -49,6 +49,16 @@ export class Page extends EventTarget {
     if (this.#get('who').textContent !== who) this.#get('who').textContent = who;
     if (button.textContent !== again && again) button.textContent = again;
     button.hidden = !again;
+  }
+
+  /** In which room the user is, as whom, and with whom: {room, name, avatar, others: [{name, speaks}]}; null: alone. */
+  company(met) {
+    this.#get('company').hidden = this.#get('invite').hidden = !met;
+    if (!met) return;
+    const you = `Room ${met.room}. You are ${met.name}, as ${met.avatar}.`;
+    const others = met.others.map(({ name, speaks }) => (speaks ? `${name} (speaking)` : name)).join(', ');
+    const text = `${you} ${others ? `Here: ${others}.` : 'Nobody else is here yet.'}`;
+    if (this.#get('company').textContent !== text) this.#get('company').textContent = text;
   }
 
   /** Whether the camera looks at the face. */
@@ -239,6 +249,7 @@ export class Page extends EventTarget {
     const looking = this.#xr.vr.endsWith?.('…');
     this.#get('enter-vr').hidden = !can('vr') && (can('ar') || !looking);
     this.#get('enter-ar').hidden = !can('ar');
+    this.#get('try-vr').hidden = can('vr') || this.#inside;
     this.#get('elsewhere').hidden = can('vr') || can('ar') || Boolean(looking);
     this.#get('ar-note').hidden = true;
     this.#get('vr-note').hidden = can('ar') && !can('vr');

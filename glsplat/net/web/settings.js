@@ -51,10 +51,11 @@ export class Settings extends EventTarget {
   #wishes = {};
   #storage;
 
-  constructor(storage = browserStorage()) {
+  /** `asked`: values by name that win over the kept ones, such as those of the page's address. */
+  constructor(storage = browserStorage(), asked = {}) {
     super();
     this.#storage = storage;
-    const kept = readKept(storage, KEY);
+    const kept = { ...readKept(storage, KEY), ...asked };
     for (const [name, entry] of Object.entries(this.#table)) {
       this.#wishes[name] = Object.hasOwn(kept, name) && plausible(entry, kept[name]) ? kept[name] : entry.value;
     }

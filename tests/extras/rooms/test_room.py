@@ -22,9 +22,11 @@ from glsplat.extras.rooms.room import Room, RoomError
 from glsplat.extras.rooms.rooms import Rooms
 from glsplat.extras.rooms.seats import RADIUS, free_seat, place_at, seat
 from glsplat.net.backend import AvatarInfo
+from glsplat.net.catalogue import Catalogue
 from glsplat.net.codec.body import PoseHistory, unpack_bodies
 from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RequestedOptions, client_options
+from glsplat.net.rights import Rights
 from glsplat.net.session import SessionConfig
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.pose import Pose
@@ -233,7 +235,7 @@ def test_nobody_keeps_the_nameless_out_by_taking_their_names() -> None:
     taken = [room.join(f"guest {number}", "a", 0.0).name for number in (7, 8)]
     assert taken == ["guest 7", "guest 8"]
     guest = room.join("", "a", 0.0, guest=7)
-    assert guest.name == "guest 9" and guest.label == "driven by guest 9, synthetic"
+    assert guest.name == "guest 9" and guest.notice == ""
 
 
 @pytest.mark.parametrize(("scale", "floor"), [(np.nan, 0.0), (1.0, np.inf), (0.0, 0.0), (-1.0, 0.0), (1.0, 1e9)])
@@ -318,12 +320,31 @@ def test_an_account_goes_by_its_own_name_into_its_own_rooms() -> None:
 def test_what_an_address_asks_for() -> None:
     place = asked(room="lab", at="1.5,-2,90").place
     assert asked().name == "" and not asked().label and asked(label="1").label
+    assert asked(room="lab").label and not asked(room="lab", label="0").label  # clients that show no names themselves
     with pytest.raises(ProtocolError, match="label needs 0 or 1"):
         asked(label="yes")
     assert place is not None and np.allclose(place_at(*place) @ (0, 0, 1, 1), (2.5, 0, -2, 1))
     for wrong in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,nan,0", "0,0,nan", "0,inf,0", "1e9,0,0", "0,0,361"):
         with pytest.raises(ProtocolError, match="at needs x,z,degrees"):
             asked(room="lab", at=wrong)
+
+
+def test_who_names_no_avatar_gets_one_that_nobody_wears() -> None:
+    """Of the default's joints; whoever comes back by a token keeps theirs."""
+    rig = Skeleton.from_joints(["root"], [-1], [[0.0, 0.0, 0.0]])
+    other = Skeleton.from_joints(["root", "arm"], [-1, 0], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    offered = [AvatarInfo(name=name, skeleton=joints) for name, joints in (("a", rig), ("b", other), ("c", rig))]
+    rooms = Rooms({"lab": 8})
+    gate = SimpleNamespace(rights=Rights())
+    rooms._server = SimpleNamespace(catalogue=Catalogue(offered), gate=gate)  # type: ignore[assignment]
+    room, worn, tokens = rooms._rooms["lab"], [], []
+    for _ in range(3):
+        worn.append(rooms.query({"room": "lab"}, None)["avatar"])
+        tokens.append(room.join("", worn[-1], 0.0).resume)
+    assert worn == ["a", "c", "a"]
+    assert rooms.query({"room": "lab", "resume": tokens[1]}, None)["avatar"] == "c"
+    assert rooms.query({"room": "lab", "avatar": "b"}, None)["avatar"] == "b"
+    assert "avatar" not in rooms.query({}, None)
 
 
 QUERY = st.dictionaries(

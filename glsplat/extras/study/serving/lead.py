@@ -37,6 +37,7 @@ from glsplat.net.feature import Feature, ServerView
 from glsplat.net.messages import Request
 from glsplat.net.options import NOT_ALLOWED, RequestedOptions
 from glsplat.net.reply import parse_reply
+from glsplat.net.rights import User
 
 __all__ = ["HEADER", "KEYS", "StudyLead", "secrets_of"]
 
@@ -148,7 +149,7 @@ class StudyLead(Feature):
         await asyncio.to_thread(self._tracking.close)
         await asyncio.to_thread(self._frames.close)
 
-    def query(self, asked: Mapping[str, str]) -> Mapping[str, str]:
+    def query(self, asked: Mapping[str, str], user: User | None) -> Mapping[str, str]:
         """Set the condition's avatar for the participant's page; refuse all others."""
         condition = self.live.condition
         if not _same(asked.get("study", ""), self.live.page):

@@ -1,36 +1,107 @@
-// A headset for whoever has none: /vr?emulate installs Meta's emulator, and this moves it by mouse and keys.
+// A headset for whoever has none: installs Meta's emulator, and moves it by mouse and keys.
 
 import { XRDevice, metaQuest3 } from './iwer.min.js';
 
 const EYES = 1.6; // metres
-const STEP = 0.05; // metres a key press
 const TURN = 0.004; // radians a pixel
+const STILL = 4; // pixels that the pointer of a click moves at most
+const PACE = 150; // ms between two steps of a key that is held
+const WAYS = { w: [1, 0], s: [-1, 0], a: [0, -1], d: [0, 1] };
+const KEYS = [
+  ['Drag', 'look around'], ['W A S D', 'step'], ['H', 'raise or drop your hands'], ['Click', 'press the panel: beside the mirror, else at your left hand'],
+  ['V', 'one eye or both'], ['Esc', 'leave'],
+];
 
-/** Install it; `canvas` then shows what the left eye sees. Dragging looks about, W A S D walk. */
-export function emulate(canvas) {
-  const device = new XRDevice(metaQuest3, { ipd: 0.063 });
+// [right of the head, over it, behind it] in metres and a quaternion x y z w; hanging hands have their fingers down
+const HANDS = {
+  down: { left: [[-0.23, -0.93, 0.06], [-0.5, 0.5, 0.5, 0.5]], right: [[0.23, -0.93, 0.06], [-0.5, -0.5, -0.5, 0.5]] },
+  raised: { left: [[0.16, -0.13, -0.6], [0, 0, 0, 1]], right: [[0.36, -0.25, -0.5], [0, 0, 0, 1]] }, // the panel beside the left one is in sight
+};
+
+/**
+ * Install it; `canvas` then shows what both eyes see. `user` is what a session does: {step(forth, right), point([x, y,
+ * eye] or null), click(), end()}.
+ */
+export function emulate(canvas, user) {
+  const device = new XRDevice(metaQuest3, { ipd: 0.063, stereoEnabled: true });
   device.installRuntime({ forceInstall: true }); // also where the browser has WebXR but no headset
+  mendOffsets();
   device.primaryInputMode = 'hand';
-  let [yaw, pitch] = [0, 0];
-  const place = [0, EYES, 0];
+  device.canvasContainer.append(keysOf());
+  let [yaw, pitch, hands, stepped, dragged] = [0, 0, 'down', 0, 0];
   const move = () => {
-    device.position.set(...place);
-    const [a, b] = [yaw / 2, pitch / 2];
-    device.quaternion.set(Math.cos(a) * Math.sin(b), Math.sin(a) * Math.cos(b), -Math.sin(a) * Math.sin(b), Math.cos(a) * Math.cos(b));
+    device.position.set(0, EYES, 0);
+    device.quaternion.set(...turned(yaw, [Math.sin(pitch / 2), 0, 0, Math.cos(pitch / 2)]));
+    for (const [side, [[x, y, z], turn]] of Object.entries(HANDS[hands])) {
+      const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+      device.hands[side].position.set(c * x + s * z, EYES + y, c * z - s * x);
+      device.hands[side].quaternion.set(...turned(yaw, turn));
+    }
   };
   move();
+  canvas.addEventListener('pointerdown', () => (dragged = 0));
   canvas.addEventListener('pointermove', (event) => {
-    if (!device.activeSession || !event.buttons) return;
+    if (!device.activeSession) return;
+    user.point(at(event, canvas, device.stereoEnabled));
+    if (!event.buttons) return;
+    dragged += Math.abs(event.movementX) + Math.abs(event.movementY);
     yaw += TURN * event.movementX;
     pitch = Math.max(-1.4, Math.min(1.4, pitch + TURN * event.movementY));
     move();
   });
-  addEventListener('keydown', (event) => {
-    const [ahead, aside] = { w: [1, 0], s: [-1, 0], a: [0, -1], d: [0, 1] }[event.key.toLowerCase()] ?? [0, 0];
-    if (!device.activeSession || (!ahead && !aside)) return;
-    place[0] += STEP * (aside * Math.cos(yaw) - ahead * Math.sin(yaw));
-    place[2] -= STEP * (ahead * Math.cos(yaw) + aside * Math.sin(yaw));
-    move();
+  canvas.addEventListener('pointerup', (event) => {
+    if (!device.activeSession || dragged > STILL) return;
+    user.point(at(event, canvas, device.stereoEnabled));
+    user.click();
   });
-  return device;
+  addEventListener('keydown', (event) => {
+    if (!device.activeSession || event.ctrlKey || event.altKey || event.metaKey) return;
+    const key = event.key.toLowerCase();
+    const actions = {
+      h: () => {
+        hands = hands === 'down' ? 'raised' : 'down';
+        move();
+      },
+      v: () => (device.stereoEnabled = !device.stereoEnabled),
+      escape: () => user.end(),
+    };
+    if (WAYS[key] && event.timeStamp - stepped > PACE) {
+      stepped = event.timeStamp;
+      user.step(...WAYS[key]);
+    } else if (Object.hasOwn(actions, key)) actions[key]();
+  });
+}
+
+/** A list of the keys, over the picture. */
+function keysOf() {
+  const list = document.createElement('dl');
+  list.id = 'emulated-keys';
+  for (const [key, words] of KEYS) {
+    const [term, meaning] = [document.createElement('dt'), document.createElement('dd')];
+    [term.textContent, meaning.textContent] = [key, words];
+    list.append(term, meaning);
+  }
+  return list;
+}
+
+/** [x, y, eye] of a pointer: -1 to 1 in the picture of the eye that it is over. */
+function at({ clientX, clientY }, canvas, stereo) {
+  const box = canvas.getBoundingClientRect();
+  const across = ((clientX - box.left) / box.width) * (stereo ? 2 : 1);
+  const eye = Math.min(Math.floor(across), stereo ? 1 : 0);
+  return [2 * (across - eye) - 1, 1 - (2 * (clientY - box.top)) / box.height, eye];
+}
+
+/** A quaternion x y z w, then a turn about the vertical. */
+function turned(yaw, [x, y, z, w]) {
+  const [s, c] = [Math.sin(yaw / 2), Math.cos(yaw / 2)];
+  return [c * x + s * z, c * y + s * w, c * z - s * x, c * w - s * y];
+}
+
+/** IWER 2.5 reads the entries of a matrix from the XRRigidTransform itself and so ignores every offset. */
+function mendOffsets() {
+  const { getOffsetReferenceSpace } = XRReferenceSpace.prototype;
+  XRReferenceSpace.prototype.getOffsetReferenceSpace = function mended(offset) {
+    return getOffsetReferenceSpace.call(this, offset.matrix);
+  };
 }

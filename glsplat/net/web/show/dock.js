@@ -38,6 +38,11 @@ export class Dock {
     }
   }
 
+  /** Show who is worn now. */
+  show() {
+    this.#showPeople();
+  }
+
   #showPeople() {
     const chosen = this.#worn() ?? this.#settings.get('avatar');
     const options = this.#settings.options('avatar');

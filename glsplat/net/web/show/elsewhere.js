@@ -2,7 +2,7 @@
 
 const FILE = '<svg xmlns="http://www.w3.org/2000/svg" '; // what makes an element a picture of its own
 
-/** Opens the dialog #code; `ask()` promises {page, local, svg} of the server (docs/protocol.md), or null. */
+/** Opens the dialog #code; `ask(room)` promises {page, local, svg} of the server (docs/protocol.md), or null. */
 export class Elsewhere {
   #get;
   #ask;
@@ -11,11 +11,14 @@ export class Elsewhere {
     this.#get = (id) => document.getElementById(id);
     this.#ask = ask;
     this.#get('code-close').addEventListener('click', () => this.#get('code').close());
+    this.#get('code-copy').addEventListener('click', () => navigator.clipboard?.writeText(this.#get('code-address').textContent));
   }
 
-  async open() {
-    const found = reached(await this.#ask().catch(() => null));
-    const { words, svg, address } = said(found);
+  /** Show how to open this page, or with a `room` how to invite others into it. */
+  async open(room = '') {
+    const found = reached(await this.#ask(room).catch(() => null), room);
+    const { words, svg, address } = room && found ? invited(found) : said(found);
+    this.#get('code-title').textContent = room ? `Invite to the room ${room}` : 'On a headset or a phone';
     this.#get('code-words').textContent = words;
     this.#get('code-address').textContent = address;
     const image = new Image();
@@ -27,9 +30,17 @@ export class Elsewhere {
 }
 
 /** Behind a proxy the server takes itself for this computer's alone; who got here knows better. */
-function reached(found) {
+function reached(found, room) {
   const here = ['localhost', '127.0.0.1', '[::1]'].includes(location.hostname);
-  return found?.local && !here ? { page: location.origin + location.pathname, local: false, svg: '' } : found;
+  const page = location.origin + location.pathname + (room && `?room=${encodeURIComponent(room)}`);
+  return found?.local && !here ? { page, local: false, svg: '' } : found;
+}
+
+function invited({ page, local, svg }) {
+  const words = local
+    ? 'Who opens this address on this computer meets you in the room. For others on your network start the server with --host 0.0.0.0 --self-signed.'
+    : 'Who opens this address, or scans it, meets you in the room.';
+  return { words, svg, address: page };
 }
 
 function said(found) {

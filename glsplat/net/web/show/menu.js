@@ -3,7 +3,8 @@
 const WORDS = { view: 'View', avatar: 'Avatar', room: 'Room', size: 'Size', quality: 'Quality', drawn: 'Drawn by' };
 const QUALITIES = [50, 65, 80, 90]; // what the panel offers of a number
 
-/** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave(), more(): rows of extras, by id}. */
+/** {rows(immersive, now), press(id)} over the settings and `deeds` {calibrate(), record(), leave(), more(): rows of extras, by id,
+ * worn() -> title and wears() -> name of the user's avatar, met() -> sentence on the room's people, or ''}. */
 export class Menu {
   #settings;
   #stage;
@@ -31,6 +32,7 @@ export class Menu {
       { id: 'figures', label: 'Figures', value: this.#settings.get('figures') ? 'on' : 'off' },
       { id: 'leave', label: 'Leave' },
       { label: this.#said(immersive) },
+      ...(this.#deeds.met() ? [{ label: this.#deeds.met() }] : []),
       ...(this.#settings.get('figures') ? this.#figures(now) : []),
     ];
   }
@@ -38,7 +40,8 @@ export class Menu {
   press(id) {
     if (id in WORDS) {
       const values = this.#values(id);
-      this.#settings.set(id, values[(values.indexOf(this.#settings.get(id)) + 1) % values.length]);
+      const now = id === 'avatar' ? this.#deeds.wears() : this.#settings.get(id);
+      this.#settings.set(id, values[(values.indexOf(now) + 1) % values.length]);
     } else if (id === 'figures') {
       this.#settings.set('figures', !this.#settings.get('figures'));
     } else {
@@ -51,6 +54,7 @@ export class Menu {
   }
 
   #chosen(name) {
+    if (name === 'avatar') return this.#deeds.worn();
     const value = this.#settings.get(name);
     return this.#settings.options(name)?.find((option) => option.value === value)?.label ?? String(value);
   }

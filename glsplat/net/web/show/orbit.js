@@ -27,6 +27,8 @@ export class Orbit {
   #centre = [...START.centre];
   #pan = [0, 0, 0];
   #followed = null; // milliseconds, when follow() was called last
+  #home = null; // {yaw, pitch, distance, pan} of a room, instead of START
+  walk = null; // in a room: takes strides ahead and to the right, and turns to the left, by the keys
   scale = 1; // pixels of the canvas a CSS pixel
   #pointers = new Map(); // id -> [x, y], CSS pixels
   #listening = null;
@@ -59,14 +61,12 @@ export class Orbit {
     this.#pointers.clear();
   }
 
-  /** Back to the start: in front of the avatar. */
+  /** Back to the start: in front of the avatar, or behind it in a room. */
   reset() {
-    this.yaw = START.yaw;
-    this.pitch = START.pitch;
-    this.distance = START.distance;
-    this.#pan = [0, 0, 0];
+    const { yaw, pitch, distance, pan = [0, 0, 0] } = this.#home ?? START;
+    Object.assign(this, { yaw, pitch, distance, close: false, stands: this.#home !== null });
+    this.#pan = [...pan];
     this.#followed = null;
-    this.close = this.stands = false;
   }
 
   /** Before the face; once there, back to the start. */
@@ -85,16 +85,28 @@ export class Orbit {
     const [x0, , z0, x1, top, z1] = this.#box;
     this.#pan = [(x0 + x1) / 2, top - FACE.down, (z0 + z1) / 2].map((v, i) => v - this.#centre[i]);
     [this.distance, this.pitch, this.close] = [FACE.distance, 0, true];
+    this.yaw = this.#home?.front ?? START.yaw;
     this.#followed = 0; // the middle of the box is no longer what is looked at first
   }
 
   /** Stand for a room: everybody in sight, from over the user's shoulder. */
   standBack(middle, radius) {
-    this.reset();
-    this.#pan = middle.map((v, i) => v - this.#centre[i]);
-    [this.yaw, this.pitch, this.distance] = [2.45, 0.2, 2.6 + 2.2 * radius];
+    const pan = middle.map((v, i) => v - this.#centre[i]);
+    this.#home = { yaw: 2.45, pitch: 0.2, distance: 2.6 + 2.2 * radius, pan, front: 0 };
     this.#box = null;
-    this.stands = true;
+    this.reset();
+  }
+
+  /** Move along with the user, who looks along `front` (radians) now. */
+  goAlong(by, front) {
+    this.#pan = this.#pan.map((v, i) => v + by[i]);
+    if (this.#home) Object.assign(this.#home, { front, pan: this.#home.pan.map((v, i) => v + by[i]) });
+  }
+
+  /** Leave a room. */
+  standAlone() {
+    [this.#home, this.walk] = [null, null];
+    this.reset();
   }
 
   /** Circle by radians. */
@@ -240,6 +252,9 @@ export class Orbit {
       f: () => this.toggleFace(),
       r: () => this.reset(),
     };
+    const { walk } = this;
+    const ways = walk && { w: () => walk(1, 0, 0), s: () => walk(-1, 0, 0), a: () => walk(0, -1, 0), d: () => walk(0, 1, 0), q: () => walk(0, 0, 1), e: () => walk(0, 0, -1) };
+    Object.assign(actions, ways);
     const key = event.key.toLowerCase();
     if (!Object.hasOwn(actions, key)) return;
     actions[key]();

@@ -110,7 +110,7 @@ export class Painter {
     const clip = new Float32Array(multiply(projection, invert(transform)));
     const placed = this.place.choose(look);
     if (placed) {
-      const seen = mirror ? [] : blobs;
+      const seen = mirror && !mirror.whole ? [] : blobs; // alone there is nobody but in the mirror
       if (room) this.place.room(eye, clip, keeps ? index : null);
       this.place.shadows(clip, seen, room);
       if (mirror) this.place.mirror(eye, clip, mirror, blobs, !room);

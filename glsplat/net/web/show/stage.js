@@ -9,6 +9,7 @@ import { IDENTITY, invert } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
+import { Names, headsOf } from './names.js';
 import { Painter } from './painter.js';
 
 const FIRST = 3000; // ms that the place, and drawing on this device, wait for the first picture
@@ -25,6 +26,7 @@ export class Stage {
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
   sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/hurry.js)
+  names = new Names(); // of a room's people, over their heads
   begun; // resolves with the first picture, or when none comes soon
   #begin;
   #gl;
@@ -108,11 +110,12 @@ export class Stage {
     const hung = labels();
     this.painter.begin(framebuffer, transparent, bare ? LOOKS[look] : null);
     if (bare && !here) {
-      views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: hung }));
+      const names = this.#named(views[0]);
+      views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: [...names, ...hung] }));
       this.drawn();
       return sent;
     }
-    const how = { room, keeps, mirror: where.glass ? where : null, look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, keeps, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays, for a change back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
@@ -120,13 +123,38 @@ export class Stage {
       this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
-      const names = this.here.labels(where, views[0].transform, this.painter);
+      const names = this.names.labels(this.here.heads(where), where, views[0], this.painter);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
     } else {
-      views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: hung }));
+      const names = this.#named(views[0]);
+      views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: [...names, ...hung] }));
       this.drawn();
     }
     return sent;
+  }
+
+  /** The people of the room, as the server told last: [{name, avatar, you, ...}]. */
+  get people() {
+    return this.info.room?.people ?? this.here?.people.room?.people ?? [];
+  }
+
+  /** The joints of all heads [x, y, z] in a room, in the user's space: {own, others}. */
+  get heads() {
+    const here = this.here?.choice.here && this.here.people.size > 0;
+    const found = here ? this.here.heads({ shown: IDENTITY }) : headsOf(this.info.room, { shown: IDENTITY });
+    return { own: found.find(({ you }) => you)?.head ?? null, others: found.filter(({ you }) => !you).map(({ head }) => head) };
+  }
+
+  /** The box about the user's own person in a room, by the head; null if that is not known. */
+  get ownBox() {
+    const [x, y, z] = this.heads.own ?? [];
+    return x === undefined ? null : [x - 0.2, y - 1.5, z - 0.2, x + 0.2, y + 0.23, z + 0.2];
+  }
+
+  /** Return the names over the heads in the pair on the display, for an eye. */
+  #named(eye) {
+    const where = this.painter.shownAs?.where;
+    return where ? this.names.labels(headsOf(this.info.room, where), where, eye, this.painter) : [];
   }
 
   /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */

@@ -79,7 +79,8 @@ export class Viewer {
       [this.#last, this.#asked] = [key, now];
       this.onAsked();
     }
-    if (this.#stage.shownId !== shown && this.#stage.info.box) this.#orbit.follow(this.#stage.info.box);
+    const box = room ? this.#stage.ownBox : this.#stage.info.box;
+    if (this.#stage.shownId !== shown && box) this.#orbit.follow(box);
   }
 
   /** Who speaks is not to wait for the next frame. What is tracked does: its filters want frames' times. */

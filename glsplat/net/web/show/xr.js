@@ -1,7 +1,9 @@
 // A WebXR session: tracking up, pictures down, three views, a panel. Everything is in the room of `local-floor`.
 
-import { multiply, translation } from '../space/matrix.js';
-import { VIEWS, placing, standing } from '../space/placing.js';
+import { faces, tangentsOf } from '../space/frustum.js';
+import { apply, multiply, place, translation, unit } from '../space/matrix.js';
+import { VIEWS, heading, placing, standing } from '../space/placing.js';
+import { STRIDE, Steps, TURN } from '../track/steps.js';
 import { bodyOf, drivenBodyOf, sampleOf } from '../track/xr-sample.js';
 import { Estimate, FEATURE } from './estimate.js';
 import { Notice, Panel } from './panel.js';
@@ -10,6 +12,8 @@ import { panelPlace, pointers } from './reach.js';
 const OPTIONAL = ['local-floor', 'hand-tracking', 'body-tracking'];
 const EYES = 1.6; // metres above the floor, where the device knows no floor and nothing was calibrated
 const NEXT_VIEW = 4; // the gamepad button A or X
+const PUSHED = 0.6; // of a stick
+const PACE = 300; // ms between two steps by a stick
 const DOUBLE = 500; // ms between two pinches of the left hand that go to the next view
 
 /** {vr, ar}: true, or in words why not. */
@@ -27,12 +31,14 @@ const both = (words) => ({ vr: words, ar: words });
 
 /**
  * One session at a time. `actions` is what the panel's rows do: {rows(immersive) -> rows, press(id)}; `tools`:
- * {calibration, recorder, driven(), speaks(sample), measured(), onCalibrated(result), onEnd()}.
+ * {calibration, recorder, driven(), speaks(sample), measured(), radius() of the room, others() of it, onCalibrated(result), onEnd()}.
  */
 export class Immersive {
   mode = ''; // vr, ar, or empty while there is no session
   panel = new Panel();
   untracked = []; // sides of hands that are not tracked
+  pointer = null; // of a mouse: [x, y, eye], -1 to 1 in the picture of an eye
+  steps;
   #gl;
   #stage;
   #settings;
@@ -44,8 +50,13 @@ export class Immersive {
   #space = null;
   #base = null; // the space before the floor was moved
   #floor = null; // after that, before the user was put in the middle of it
+  #stood = null; // after that, before the user made steps
+  #views = []; // of the last frame
+  #head = null; // in it: room from head
+  #stepped = 0; // ms
   #where = null;
   #again = false; // place the view anew
+  #restand = false; // and the user
   #pressed = false;
   #pinched = 0;
   #message = { text: '', until: 0 };
@@ -57,8 +68,10 @@ export class Immersive {
     this.#settings = settings;
     this.#actions = actions;
     this.#tools = tools;
+    this.steps = new Steps(tools.others);
     settings.addEventListener('change', ({ detail }) => {
       if (detail.name === 'view' || detail.name === 'room') this.#again = true;
+      if (detail.name === 'room') this.#restand = true;
     });
   }
 
@@ -99,8 +112,8 @@ export class Immersive {
     this.#floor = height
       ? this.#base.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: height, z: 0 }))
       : this.#base;
-    this.#space = this.#floor;
-    this.#again = true;
+    this.#space = this.#stood = this.#floor;
+    this.#again = this.#restand = true;
   }
 
   async #findFloor(session) {
@@ -111,7 +124,7 @@ export class Immersive {
       const local = await session.requestReferenceSpace('local');
       this.#base = local.getOffsetReferenceSpace(new XRRigidTransform({ x: 0, y: -eyes, z: 0 }));
     }
-    this.#base.addEventListener('reset', () => (this.#again = true)); // the user looks another way from now on
+    this.#base.addEventListener('reset', () => (this.#again = this.#restand = true)); // the user looks another way from now on
     this.moveFloor(this.#tools.measured()?.floor ?? 0);
   }
 
@@ -128,7 +141,7 @@ export class Immersive {
     const { session } = frame;
     if (session !== this.#session) return;
     session.requestAnimationFrame((later, next) => this.#frame(later, next));
-    if (!this.#where || this.#again) this.#stand(frame);
+    if (this.#restand) this.#stand(frame);
     const viewer = frame.getViewerPose(this.#space);
     if (!viewer) return; // the device is lost: the last picture stays
     const views = viewer.views.map((view) => ({
@@ -142,7 +155,10 @@ export class Immersive {
     const lower = drivenBodyOf(frame, this.#space);
     if (lower) sample.body = lower;
     this.#use(sample, now, frame);
-    const view = this.#where.view;
+    [this.#views, this.#head] = [views, head];
+    const { hung } = this.#where;
+    const where = hung && views.some((eye) => faces(hung.glass, eye)) ? hung : this.#where;
+    const { view } = where;
     // the glass of a mirror in no place is black: nothing shows through
     const alpha = this.mode === 'ar' || view !== 'mirror' || this.#settings.get('place') !== 'plain';
     const drive = this.#tools.driven() ? { tracking: sample, t: now } : {};
@@ -152,23 +168,47 @@ export class Immersive {
     this.#stage.display = session.frameRate;
     const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
     const deep = view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
-    this.#stage.frame(views, this.#where, drive, { framebuffer, alpha, transparent, room, around, labels, deep, now });
+    this.#stage.frame(views, where, drive, { framebuffer, alpha, transparent, room, around, labels, deep, now });
   }
 
   #placeView(head) {
     this.#again = false;
-    this.#where = placing(this.#settings.get('view'), head, this.#settings.get('room') !== '');
+    this.#where = placing(this.#settings.get('view'), head, this.#tools.radius());
     this.#stage.clear();
   }
 
   /** In a room with others the user begins at the origin and looks along +z: to the middle (docs/protocol.md, 2.1). */
   #stand(frame) {
-    this.#space = this.#floor;
+    this.#restand = false;
+    this.steps.reset();
+    this.#space = this.#stood = this.#floor;
     const viewer = this.#settings.get('room') !== '' && frame.getViewerPose(this.#floor);
     if (!viewer) return;
     const { place: [x, y, z], yaw } = standing(viewer.transform.matrix);
     const turn = { x: 0, y: Math.sin(yaw / 2), z: 0, w: Math.cos(yaw / 2) };
-    this.#space = this.#floor.getOffsetReferenceSpace(new XRRigidTransform({ x, y, z }, turn));
+    this.#space = this.#stood = this.#floor.getOffsetReferenceSpace(new XRRigidTransform({ x, y, z }, turn));
+  }
+
+  /** Step by strides ahead and to the right of where the head looks, or turn to the left by `turns`. */
+  step(forth, right, turns = 0) {
+    if (!this.#head) return;
+    const at = place(this.#head);
+    if (turns) this.steps.turn(at, turns * TURN);
+    else this.steps.step(at, heading(this.#head), STRIDE * forth, STRIDE * right);
+    this.#space = this.#stood.getOffsetReferenceSpace(new XRRigidTransform(...this.steps.offset));
+  }
+
+  /** A stick steps while it is pushed, to the sides with the right hand it turns. */
+  #walk(sources, now) {
+    const pushed = sources.map(({ gamepad, handedness }) => [handedness, gamepad?.axes[2] ?? 0, gamepad?.axes[3] ?? 0]);
+    const [side, x, y] = pushed.find(([, x, y]) => Math.hypot(x, y) > PUSHED) ?? [];
+    if (side === undefined) this.#stepped = 0;
+    else if (now - this.#stepped > PACE) {
+      this.#stepped = now;
+      if (Math.abs(y) > Math.abs(x)) this.step(-Math.sign(y), 0);
+      else if (side === 'right') this.step(0, 0, -Math.sign(x));
+      else this.step(0, Math.sign(x));
+    }
   }
 
   /** What else a sample is for: recording, calibrating, telling that hands are missing, the view's button. */
@@ -189,6 +229,7 @@ export class Immersive {
     const pressed = sources.some(({ gamepad }) => gamepad?.buttons[NEXT_VIEW]?.pressed);
     if (pressed && !this.#pressed) this.nextView();
     this.#pressed = pressed;
+    this.#walk(sources, now);
   }
 
   nextView() {
@@ -209,11 +250,29 @@ export class Immersive {
     }
   }
 
+  /** Press what the mouse points at. */
+  click() {
+    const ray = this.#mouse();
+    const hit = ray && this.panel.hit(ray.origin, ray.direction);
+    if (hit?.row.id) this.#actions.press(hit.row.id);
+  }
+
+  /** The ray of the mouse: {origin, direction}, or null. */
+  #mouse() {
+    const eye = this.#views[this.pointer?.[2]];
+    if (!eye) return null;
+    const { left, right, down, up } = tangentsOf(eye.projection);
+    const [x, y] = this.pointer.map((v) => (v + 1) / 2); // of the eye's picture
+    const direction = apply(eye.transform, [left + x * (right - left), down + y * (up - down), -1, 0]).slice(0, 3);
+    return { origin: place(eye.transform), direction: unit(direction) };
+  }
+
   #labels(frame, head, sample, now) {
     this.panel.rows = this.#actions.rows(this, now);
     const { transform, width } = panelPlace(this.#where, head, sample);
     this.panel.hang(transform, width);
-    const hits = pointers(frame, this.#space, frame.session.inputSources)
+    const hits = [...pointers(frame, this.#space, frame.session.inputSources), this.#mouse()]
+      .filter(Boolean)
       .map(({ origin, direction }) => this.panel.hit(origin, direction))
       .filter(Boolean);
     this.panel.hovered = hits.length ? hits[0].index : -1;

@@ -12,13 +12,17 @@ const LIMBS = 0.6; // metres a second, by which the box is wider than the last o
 const LATEST = 0.3; // seconds; older pictures are not waited for by wider margins
 const MARGIN = 0.03; // radians beyond what the eye sees, and at most
 const WIDEST = 0.35;
-const SHAPES = [0.5, 1, 2]; // width / height; few of them, because a server keeps targets of few sizes
+const SHAPES = [0.5, 0.7, 1, 1.4, 2]; // width / height; few of them, because a server keeps targets of few sizes
 const HYSTERESIS = 1.25;
 const COMPANY = 1.6; // metres to the plane on which a picture of a whole room is put
-const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.7, 0.8]; // metres about where somebody stands, the words over their head, too
+const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.1, 0.8]; // metres about where somebody stands
+const FIGURE = 0.42; // squared tangents of the frustum in which a mirror 1.2 m away shows a person whose arms hang
+const FINEST = 1.5; // pixels of a picture of a room a pixel of the display, along a side
+const MOST = 2; // sides of a square that a picture of a room has at most, of those that a person alone has
 
 export class Framing {
   seen = Infinity; // side of a square with as many pixels as the display has for what was framed last
+  largest = Infinity; // side of a square that the server draws
   furnished = false; // whether a room has more to see than people
   #people = []; // [x, y, z] of everybody in a room, as the server said it
   #box = null; // as the server said it
@@ -65,7 +69,7 @@ export class Framing {
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
-    const size = this.#size(whole, where.whole ? Math.min(side, this.seen) : side);
+    const size = this.#size(whole, where.whole ? this.#roomSide(whole, side) : side);
     const eyes = views.map(({ transform }, i) => ({
       viewmat: viewmat(serverEye(where, transform)).map(rounded),
       K: intrinsics(whole[i], size).map(rounded),
@@ -107,6 +111,13 @@ export class Framing {
     });
   }
 
+  /** The side of a square with the pixels of a picture of a room: as many a degree as of a person alone, up to MOST. */
+  #roomSide(frusta, side) {
+    const areas = frusta.map(({ left, right, down, up }) => (right - left) * (up - down));
+    const wanted = side * Math.sqrt(Math.max(...areas) / FIGURE);
+    return Math.min(wanted, MOST * side, FINEST * this.seen, this.largest);
+  }
+
   #turn(transform, now) {
     const direction = axis(transform, 2);
     const seconds = (now - this.#time) / 1000;
@@ -131,9 +142,9 @@ export class Framing {
   }
 }
 
-/** The side of a square with as many pixels as the display has for a frustum: more would only make words smaller. */
+/** The side of a square with as many pixels as the display has for a frustum; Infinity for an eye without a display. */
 function shownSide({ left, right, down, up }, { projection, viewport }) {
-  if (!viewport) return Infinity;
+  if (!viewport?.width || !viewport.height) return Infinity;
   const [across, along] = [(right - left) * viewport.width * projection[0], (up - down) * viewport.height * projection[5]];
   return Math.max(64, Math.sqrt(across * along) / 2);
 }

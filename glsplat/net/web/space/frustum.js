@@ -59,6 +59,14 @@ export function aroundQuad(points, transform) {
   return boundsOf(seen.flatMap((point, i) => clipped(point, seen[(i + 1) % seen.length])));
 }
 
+/** Whether the eye at `transform` has the middle of a flat four-cornered thing in sight. */
+export function faces(points, { transform, projection }) {
+  const middle = scale(points.reduce(add, [0, 0, 0]), 1 / points.length);
+  const [x, y, z] = apply(invert(transform), middle);
+  const { left, right, down, up } = tangentsOf(projection);
+  return z < 0 && x / -z > left && x / -z < right && y / -z > down && y / -z < up;
+}
+
 /** [fx, fy, cx, cy] in pixels of a frustum that fills a picture of [width, height]. */
 export function intrinsics({ left, right, down, up }, [width, height]) {
   const fx = width / (right - left);

@@ -10,6 +10,7 @@ import { movePoint, translation, turnY, unit } from './matrix.js';
 export const VIEWS = ['mirror', 'facing', 'own'];
 
 const MIRROR = { distance: 1.2, width: 1.1, bottom: 0.05, top: 2.05 }; // metres
+const ASIDE = 0.4; // metres from the circle of a room to a mirror, at least
 const FACING = 1.8; // metres from the user to the avatar
 
 /** The level direction a head looks in; [0, 0, -1] if it looks straight up or down. */
@@ -24,10 +25,14 @@ export function heading(head) {
 
 /**
  * A view for a user whose head is at `head` (room from head): what stays where it is until the view is chosen again.
- * With others in a `room` there are the mirror and the own body, and pictures of all that is in sight.
+ * With others on a circle of `radius` metres, which the user faces from the origin, all that is in sight is shown, and
+ * the mirror is `hung` to the user's left, where nobody stands behind it.
  */
-export function placing(view, head, room = false) {
-  if (room) return { ...placing(view === 'mirror' ? 'mirror' : 'own', head), whole: true };
+export function placing(view, head, radius = 0) {
+  if (radius) {
+    const around = { ...placing('own', head), whole: true };
+    return view === 'mirror' ? { ...around, hung: { ...mirrorAt([radius + ASIDE, 0, 0], [-1, 0, 0]), whole: true } } : around;
+  }
   const ahead = heading(head);
   const ground = [head[12], 0, head[14]];
   if (view === 'mirror') return mirrorAt(add(ground, scale(ahead, MIRROR.distance)), scale(ahead, -1));

@@ -261,14 +261,14 @@ function track(name, frames) {
 }
 
 /** The unit quaternion [x, y, z, w] of a rotation vector (radians). */
-function quaternion([x, y, z]) {
+export function quaternion([x, y, z]) {
   const angle = Math.hypot(x, y, z);
   const k = angle > 1e-9 ? Math.sin(angle / 2) / angle : 0.5;
   return [k * x, k * y, k * z, Math.cos(angle / 2)];
 }
 
 /** The rotation vector of a unit quaternion, at most pi long. */
-function rotationVector([x, y, z, w]) {
+export function rotationVector([x, y, z, w]) {
   const sine = Math.hypot(x, y, z);
   const k = sine > 1e-9 ? (2 * Math.atan2(sine, Math.abs(w))) / sine : 2;
   const sign = w < 0 ? -k : k;

@@ -11,7 +11,6 @@ import { fromJoints, partsOf } from '../place/shadow.js';
 import { IDENTITY, fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 import { People, parsePoses } from '../stream/pose.js';
 import { OwnFace } from '../voice/own-face.js';
-import { Names } from './names.js';
 
 const JAW = ARKIT.indexOf('jawOpen');
 
@@ -26,7 +25,6 @@ export class Here {
   #offer = null; // `hand_out` of the user's avatar: {sha256, url, ...}, or null
   #handedOut = []; // hashes of all avatars that the server hands out
   #refused = ''; // why the server refuses poses
-  #names = new Names();
   #jaw = 0; // weight of the user's jawOpen in the last picture
 
   constructor(gl, connection, settings) {
@@ -117,20 +115,15 @@ export class Here {
     });
   }
 
-  /** Return labels for `painter`: everybody else's names, over their heads, for an eye at `transform`. */
-  labels(where, transform, painter) {
-    return this.#names.labels(this.#others(where), transform, painter);
-  }
-
-  /** Return [{key, text, place}] of everybody else in a room; `place` is over the head, in the room as it is shown. */
-  #others(where) {
+  /** Return [{key, name, label, you, head}] of everybody in a room; `head`: the joint, in the room as it is shown. */
+  heads(where) {
     const { room } = this.people;
     if (!room || !this.#own) return [];
     const byKey = new Map(this.#own.people.map((one) => [one.key, one]));
     const shown = multiply(where.shown, invert(fromPose(room.place ?? [0, 0, 0, 0, 0, 0, 1])));
     return room.people
-      .filter(({ key, you }) => !you && byKey.has(key))
-      .map(({ key, name, label }) => ({ key, text: [name, label].filter(Boolean).join(': '), place: above(byKey.get(key), shown) }));
+      .filter(({ key }) => byKey.has(key))
+      .map(({ key, name, label, you }) => ({ key: name, name, label, you, head: headOf(byKey.get(key), shown) }));
   }
 
   /** Figures for `stats()`. */
@@ -170,12 +163,10 @@ function atRest(skeleton) {
   return { joints, root: [0, 0, 0] };
 }
 
-/** Return a place over a person's head, in the room as it is shown. */
-function above({ avatar: { skeleton }, pose, place = HERE }, shown) {
-  const [x, y, z] = skeleton.placeOf(pose, Math.max(skeleton.names.indexOf('head'), 0));
-  const m = multiply(shown, standing(place));
-  const at = [0, 1, 2].map((row) => m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row]);
-  return [at[0], at[1] + 0.3, at[2]];
+/** Return the place of a person's head joint, in the room as it is shown. */
+function headOf({ avatar: { skeleton }, pose, place = HERE }, shown) {
+  const joint = skeleton.placeOf(pose, Math.max(skeleton.names.indexOf('head'), 0));
+  return movePoint(multiply(shown, standing(place)), joint);
 }
 
 /** Return the matrix from the space of an avatar at a place to the room. */

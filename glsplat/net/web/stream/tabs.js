@@ -1,0 +1,40 @@
+// Tabs of this browser with the same person in a room: one of them may take the person over from another.
+
+/** Answers other tabs that ask for the person of this one. `mine()`: "room/name" or '', `left()`: this tab gave it up. */
+export class Tabs {
+  #channel = typeof BroadcastChannel === 'undefined' ? null : new BroadcastChannel('glsplat');
+  #mine;
+  #left;
+  #answered = () => {};
+
+  constructor(mine, left) {
+    [this.#mine, this.#left] = [mine, left];
+    if (this.#channel) this.#channel.onmessage = ({ data }) => this.#heard(data);
+  }
+
+  /** Promise whether another tab has a person. */
+  has(who) {
+    return this.#ask({ asks: who });
+  }
+
+  /** Make another tab give a person up; promises whether one did. */
+  take(who) {
+    return this.#ask({ takes: who });
+  }
+
+  #ask(message) {
+    return new Promise((done) => {
+      this.#answered = () => done(true);
+      setTimeout(() => done(false), 500); // ms: tabs answer within a few, hidden ones too
+      this.#channel?.postMessage(message);
+    });
+  }
+
+  #heard({ asks, takes, is }) {
+    if (is) this.#answered();
+    const mine = this.#mine();
+    if (!mine || mine !== (asks ?? takes)) return;
+    if (takes) this.#left();
+    this.#channel.postMessage({ is: mine });
+  }
+}

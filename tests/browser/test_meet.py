@@ -1,0 +1,200 @@
+"""People who meet in a room from the page: sharp, face to face, named, and in VR without a headset."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glsplat.extras.rooms.rooms import Rooms
+from glsplat.net.backend import AvatarInfo, RenderJob
+from glsplat.net.server import ServerConfig
+from tests.browser.conftest import OpenPage
+from tests.browser.flat_page import flat_page
+from tests.browser.markers import Markers, as_tracked, samples
+from tests.browser.opened import Opened
+from tests.browser.test_rooms import OFFERED, RIG, people
+from tests.browser.vr import visit
+
+CONFIG = ServerConfig(port=0, rooms={"lab": 4})
+SIZE = (1100, 700)
+TWO = (*OFFERED, AvatarInfo(name="bob", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})))
+MODULES = """import { Names } from './show/names.js'; import { Steps } from './track/steps.js';
+Object.assign(window, { Names, Steps });"""
+
+
+@pytest.fixture
+def served(serve: Any) -> Any:
+    return serve(Markers(lambda request: {}), config=CONFIG, offered=TWO)
+
+
+def jobs(served: Any, viewer: int | None = None) -> list[RenderJob]:
+    """The pictures asked for so far, of one person of the room or of who is alone."""
+    found = list(served.server.drawer.worker._backend.requests.values())
+    return [one for one in found if (None if one.room is None else one.room.viewer) == viewer]
+
+
+def enter_emulated(open_page: OpenPage, served: Any, query: str, **values: Any) -> Opened:
+    page = visit(open_page, served, {"drawer": False} | values, address=served.page + query, xr=False, size=SIZE)
+    page.until("window.glsplat?.stats().shown > 0")
+    page.page.click("#try-vr")
+    page.until("window.glsplat.stats().session === 'vr'")
+    return page
+
+
+def look_left(page: Opened) -> None:
+    """Turn the emulated head by a quarter."""
+    page.page.mouse.move(200, 200)
+    page.page.mouse.down()
+    page.page.mouse.move(200 + round(np.pi / 2 / 0.004), 200, steps=8)
+    page.page.mouse.up()
+
+
+def density(job: RenderJob) -> float:
+    """Pixels a unit of tangent of the eye that has fewest, across and up alike."""
+    return min(float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) for camera in job.cameras)
+
+
+def mirrored(job: RenderJob) -> bool:
+    return float(np.linalg.det(job.cameras[0].viewmat[:3, :3])) < 0
+
+
+def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: Any) -> None:
+    """In the mirror and in the own view, for both emulated eyes, whoever else is there."""
+    alone = enter_emulated(open_page, served, "")
+    alone.meanwhile(lambda: any(map(mirrored, jobs(served))))
+    wanted = density(list(filter(mirrored, jobs(served)))[-1])
+    alone.page.close()
+    other = visit(open_page, served, address=f"{served.page}?room=lab&name=Bob")
+    other.until("window.glsplat.stats().shown > 0")
+    page = enter_emulated(open_page, served, "?room=lab&name=Ann")
+
+    def met(mirror: bool) -> list[RenderJob]:
+        all_ = [one for one in jobs(served, 2) if one.room is not None and len(one.room.people) == 2]
+        return [one for one in all_ if len(one.cameras) == 2 and mirrored(one) == mirror]
+
+    page.meanwhile(lambda: len(met(mirror=False)) > 2)
+    assert density(met(mirror=False)[-1]) >= 0.98 * wanted
+    look_left(page)
+    page.meanwhile(lambda: len(met(mirror=True)) > 2)
+    assert density(met(mirror=True)[-1]) >= 0.98 * wanted
+
+
+def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPage, served: Any) -> None:
+    """It shows its keys, walks and raises its hands by them, and a click presses the panel."""
+    page = enter_emulated(open_page, served, "?room=lab&name=Ann")
+
+    def sent() -> Any:
+        return samples[max(samples)] if samples else None
+
+    page.meanwhile(lambda: sent() is not None and sent().left is not None)
+    first = sent()
+    x, y, z, w = np.abs(first.head[3:])
+    assert y > 0.99 and max(x, z, w) < 0.05  # half a turn: to +z, where the middle of the room is
+    assert first.left[1] < 1.0 and first.right[1] < 1.0 and first.left[0] > 0 > first.right[0]
+    assert page.page.is_visible("#emulated-keys")
+    page.page.keyboard.press("w")
+    page.meanwhile(lambda: sent().head[2] == pytest.approx(0.4, abs=0.02))
+    page.page.keyboard.press("h")
+    page.meanwhile(lambda: sent().left is not None and sent().left[1] > 1.1)
+    look_left(page)  # the hands follow
+    page.meanwhile(lambda: sent().left[0] > 0.3)
+    page.page.keyboard.press("Escape")
+    page.until("window.glsplat.stats().session === 'none'")
+    alone = enter_emulated(open_page, served, "")
+    for y in range(520, 330, -8):  # the panel beside the mirror, from its last row up: "Leave" ends the session
+        alone.page.mouse.click(490, y)
+        alone.wait(0.3)
+        if alone.stats()["session"] == "none":
+            break
+    assert alone.stats()["session"] == "none"
+
+
+def company(text: str) -> str:
+    return f"document.querySelector('#company')?.textContent === {json.dumps(text)}"
+
+
+def test_an_address_brings_people_together_who_see_whom_they_meet(open_page: OpenPage, served: Any) -> None:
+    """Whatever is stored; who chose nobody wears what nobody wears, and the page says so."""
+    first = visit(open_page, served, {"room": "", "name": "Carl"}, address=f"{served.page}?room=lab&name=Dee")
+    first.until(
+        "document.querySelector('#company').textContent === 'Room lab. You are Dee, as ann. Nobody else is here yet.'"
+    )
+    second = visit(open_page, served, address=f"{served.page}?room=lab&name=Eve")
+    second.until(company("Room lab. You are Eve, as bob. Here: Dee."))
+    first.until(company("Room lab. You are Dee, as ann. Here: Eve."))
+    assert second.page.get_attribute("#people-1", "aria-pressed") == "true"
+    seats = served.server.feature(Rooms)._rooms["lab"]._guests
+    ahead = [guest.person.seat[:3, 2] for guest in seats.values()]
+    assert ahead[0] @ ahead[1] == pytest.approx(-1)  # face to face
+    second.page.click("#invite")
+    second.until("document.querySelector('#code-address').textContent.endsWith('/vr?room=lab')")
+
+
+ELSEWHERE = "document.querySelector('#status')?.textContent === 'You are in this room in another tab.'"
+
+
+def test_a_second_tab_says_so_and_takes_over(open_page: OpenPage, served: Any) -> None:
+    address = f"{served.page}?room=lab&name=Ann"
+    first = visit(open_page, served, address=address)
+    first.until("window.glsplat.stats().shown > 0")
+    second = Opened(first.page.context.new_page(), ["Unexpected response code: 409"])
+    second.page.goto(address)
+    second.until(
+        "window.glsplat && document.querySelector('#status').textContent === 'You are in this room in another tab.'"
+    )
+    assert second.page.inner_text("#again") == "Continue here"
+    second.page.click("#again")
+    second.until("window.glsplat.stats().state === 'open'")
+    first.until(ELSEWHERE)
+    assert people(served) == ["Ann"] and not second.unexpected()
+
+
+NAMES = """(people, where = {}, height = 512) => {
+  const painter = { texture: () => ({}), fill() {} };
+  const projection = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+  const eye = { transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 1.6, 0, 1], projection, viewport: { height } };
+  const label = (name) => `driven by ${name}, synthetic`;
+  const all = people.map(([name, x, z], key) => ({ key, name, label: label(name), head: [x, 1.5, z] }));
+  return new window.Names().labels(all, where, eye, painter)
+    .map(({ transform: m, width, height: high }) => [m[12], m[13] - 1.6, m[14], width, high]);
+}"""
+
+
+def test_names_keep_their_size_and_cover_nobody(chromium: Any) -> None:
+    with flat_page(chromium, MODULES) as page:
+        near, far = page.evaluate(NAMES, [["Ann", 0, -1.5], ["Bob", 3, -6]])
+        tall = [one[4] / np.hypot(one[0], one[2]) for one in (near, far)]
+        assert tall[0] == pytest.approx(tall[1]) and tall[0] * 512 / 2 >= 30  # pixels of 512 that 90 degrees have
+        for x, up, z, _, high in (near, far):
+            assert up - high / 2 >= -0.1 + 0.2 and np.hypot(x, z) < 10  # over the head
+        assert page.evaluate(NAMES, [["Ann", 0, -10.5]]) == []
+        # behind another: over both, and not over the other's name
+        first, second = page.evaluate(NAMES, [["Ann", 0, -1.5], ["Bob", 0, -5]])
+        lower, upper = ([(up + sign * high / 2) / -z for sign in (-1, 1)] for _, up, z, _, high in (first, second))
+        assert upper[0] >= lower[1] > lower[0] >= (1.5 + 0.2 - 1.6) / 1.5
+        # in a mirror once, and only through its glass
+        glass = [[-0.5, 0, -1], [0.5, 0, -1], [0.5, 2, -1], [-0.5, 2, -1]]
+        seen = page.evaluate(f"({NAMES})([['Ann', 0, -3], ['Bob', 3, -3], ['Eve', 0, -0.5]], {{ glass: {glass} }})")
+        assert len(seen) == 1 and seen[0][2] == -3
+
+
+def test_nobody_steps_into_another(chromium: Any) -> None:
+    with flat_page(chromium, MODULES) as page:
+        walked = page.evaluate("""() => {
+          const steps = new window.Steps(() => [[0, 1.5, 2]]);
+          const head = () => [steps.matrix[12], 1.5, steps.matrix[14]];
+          let count = 0;
+          while (count < 20 && steps.step(head(), [0, 0, 1], 0.4, 0)) count++;
+          steps.turn(head(), Math.PI / 2);
+          const { pose } = steps.moved({ pose: { trans: [0, 0.1, 0] } });
+          const moved = steps.moved({ tracking: { head: [0, 1.6, 0, 0, 0, 0, 1], left: null } });
+          const { head: to, left } = moved.tracking;
+          return { count, trans: pose.trans, root: pose.root_pose, head: to, left };
+        }""")
+        assert walked["count"] == 3 and walked["left"] is None
+        np.testing.assert_allclose(walked["trans"], [0, 0.1, 1.2], atol=1e-6)
+        np.testing.assert_allclose(walked["root"], [0, np.pi / 2, 0], atol=1e-6)
+        np.testing.assert_allclose(walked["head"], [0, 1.6, 1.2, 0, np.sqrt(0.5), 0, np.sqrt(0.5)], atol=1e-6)
