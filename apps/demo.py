@@ -17,18 +17,21 @@ import numpy as np
 from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
+from glsplat.io.files import replace_file
 from glsplat.net.client import Client
 
 from .args import add_detail, detail_of, size
+from .output import Image, save_png
 from .progress import Progress
-from .replay.command import load_drive, save_clip, save_sheet
-from .replay.stage_table import frame_text, table_text
+from .replay.command import load_drive, save_clip
+from .replay.portrait import portrait_sheet
+from .replay.stage_table import frame_text, summary_text, table_text
 from .replay.streaming import Drive, Result, observer, stream
 from .usage import UsageError, make_folder
 
 HELP = (
     "Start a server, stream recorded head and hands through it at two sizes (tracking to pose to both eyes to JPEG), "
-    "and show rates, stage times, a contact sheet and a clip (MP4 with VP9, which browsers play)."
+    "and show rates, a contact sheet, a clip (MP4 with VP9, which browsers play) and a table of stage times."
 )
 EXAMPLE = "glsplat demo -o out/demo"
 
@@ -60,22 +63,32 @@ def run(args: argparse.Namespace) -> int:
     make_folder(args.output)
     with running_server(args.avatar, RenderConfig(**detail_of(args))) as url:
         results = asyncio.run(_measure(args, url, drive))
-    sheet, clip = args.output / "contact_sheet.png", args.output / "clip.mp4"
+        sheet = asyncio.run(_portraits(url, drive))
     kept = results[-1][1].kept
     if not kept:
         raise GlsplatError("no picture came; run `glsplat serve --verbose` and `glsplat replay` to see why")
-    save_sheet(sheet, kept)
+    pictures, clip, stages = (args.output / name for name in ("contact_sheet.png", "clip.mp4", "stages.txt"))
+    save_png(pictures, sheet)
     shown = save_clip(clip, kept, across=_CLIP_WIDTH_PX)
+    tables = [f"2 x {name}, drawn by {r.driver}\n{table_text(r)}\n{frame_text(r)}\n" for name, r in results]
+    replace_file(stages, ["\n".join(tables).encode()])
     if args.json:
-        files = [str(sheet), str(clip)]
+        files = [str(pictures), str(clip), str(stages)]
         print(json.dumps({"runs": {name: result.summary() for name, result in results}, "files": files}))
         return 0
+    print("Tracked head and hands went to a server on this machine; both eyes came back as JPEG:", end="\n\n")
     for name, result in results:
-        print(f"2x {name}, drawn by {result.driver}")
-        print(table_text(result))
-        print(frame_text(result), end="\n\n")
-    print(sheet, shown, sep="\n")
+        print(f"  2 x {name:10}{summary_text(result)}")
+    print(f"\nDrawn by {results[-1][1].driver}.")
+    print(f"{pictures}: the person in both eyes", f"{shown}: what was streamed", sep="\n")
+    print(f"{stages}: the time of each stage")
+    print("Next: `glsplat serve`, then http://localhost:8000/vr in a browser.")
     return 0
+
+
+async def _portraits(url: str, drive: Drive) -> Image:
+    async with Client(url, timeout=30.0, adapt=False) as client:
+        return await portrait_sheet(client, drive)
 
 
 async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tuple[str, Result]]:

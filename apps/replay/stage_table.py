@@ -12,7 +12,7 @@ from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
 
-__all__ = ["comparison_markdown", "frame_text", "table_text"]
+__all__ = ["comparison_markdown", "frame_text", "summary_text", "table_text"]
 
 _DEFERRED_NOTE = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
 
@@ -41,6 +41,16 @@ def frame_text(result: Result) -> str:
         f"\n{result.share:.2f} of what the renderer could draw without a pause; request to reply less render "
         f"{more:.1f} ms (p95 {more95:.1f})"
     )
+
+
+def summary_text(result: Result) -> str:
+    """Return the rate, the age of shown pictures, and the two stages that take the longest, in one line."""
+    age, _ = median_p95(result.ages)
+    stages = {key: median_p95(result.times.get(key, ()))[0] for key, _, _ in STAGES[:-1]}
+    names = {key: name for key, name, _ in STAGES}
+    longest = sorted(stages, key=stages.__getitem__, reverse=True)[:2]
+    most = ", ".join(f"{names[key]} {stages[key]:.0f} ms" for key in longest)
+    return f"{result.fps:5.1f} pairs a second, each {age:.0f} ms old when shown; longest: {most}"
 
 
 def comparison_markdown(runs: Sequence[tuple[str, str, Result]]) -> str:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from glsplat.net.client import Client
 from glsplat.net.flow import POLICIES, ReceivedReply
 from glsplat.net.pace.stages import median_p95
 from glsplat.net.reply import Reply
+from glsplat.net.wire_schema import PictureParams
 from glsplat.rotations import FLIP_YZ
 from glsplat.skinning.pose import Pose
 
@@ -175,19 +176,17 @@ async def stream(
     frames: int,
     fps: float = 72.0,
     size: tuple[int, int] = (1024, 1024),
-    quality: int | None = None,
-    crop: bool = False,
     policy: str = "mailbox",
     window: int = 2,
     keep: bool = False,
     progress: Callable[[int], None] = lambda count: None,
     see: Callable[[float, Driven, tuple[int, int]], tuple[Camera, Camera]] | None = None,
-    hide: Sequence[str] = (),
+    **params: Unpack[PictureParams],
 ) -> Result:
     """Stream for ``frames`` refreshes of a display of ``fps`` Hz; at each, show the newest decoded picture.
 
     ``policy`` says when to send requests; ``window`` limits the unanswered requests of ``fifo``. ``keep`` stores the
-    shown replies. ``see`` returns the eyes at a time (default: ``observer``); ``hide`` lists parts hidden from them.
+    shown replies. ``see`` returns the eyes at a time (default: ``observer``); ``params`` are options of each picture.
     """
     run = _Stream(client, keep)
     run.result.interval = 1e3 / fps
@@ -196,7 +195,7 @@ async def stream(
         driven = drive.at(seconds)
         cameras = observer(seconds, driven.root, size) if see is None else see(seconds, driven, size)
         run.result.sent += 1
-        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, quality=quality, crop=crop, hide=hide)
+        await client.send(cameras, pose=driven.pose, tracking=driven.tracking, **params)
 
     async def ask_when_answered() -> None:
         while not over.is_set():

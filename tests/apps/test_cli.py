@@ -50,9 +50,13 @@ def test_the_demo_measures_and_leaves_pictures_and_no_process(tmp_path, capsys):
     assert list(report["runs"]) == ["96x96", "128x128"]
     for numbers in report["runs"].values():
         assert numbers["shown"] >= 1 and numbers["errors"] == 0 and numbers["stages_ms"]["render"]["median"] > 0
-    assert sorted(p.name for p in out.iterdir()) == ["clip.mp4", "contact_sheet.png"]
+    assert sorted(p.name for p in out.iterdir()) == ["clip.mp4", "contact_sheet.png", "stages.txt"]
+    assert (out / "stages.txt").read_text().count("end to end") == 2
     sheet = cv2.imread(str(out / "contact_sheet.png"))
-    assert sheet.shape[1] == 2 * 256 + 4 and sheet.max() > 100
+    tiles = [sheet[100:600, 384 * i + 4 * i + 60 :][:, :260] for i in range(4)] + [sheet[300:1000, -600:-150]]
+    for tile in tiles:  # a person fills part of each, before light grey
+        person = tile.astype(int).max(axis=2) - tile.min(axis=2) > 30
+        assert 0.2 < person.mean() < 0.95 and tile[~person].max() > 180
     assert not multiprocessing.active_children()
 
 
