@@ -21,7 +21,7 @@ from tests.light.lit import random_light
 PLACES = ("day", "studio", "night")
 NORMALS = np.random.default_rng(4).normal(size=(40, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
-EXPOSURE = 1.25  # of all places alike, as place/light.js has it
+EXPOSURE = 1.5  # of all places alike, as place/light.js has it
 HEAD = pose([0.1, 1.65, 0.2], yaw=25)
 
 

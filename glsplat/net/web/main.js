@@ -271,6 +271,7 @@ function offered(session) {
   for (const name of session.motions) drivers.push({ value: `motion:${name}`, label: `Motion: ${name}` });
   if (session.recording) drivers.push({ value: 'recording', label: 'Recorded head and hands' });
   settings.setOptions('driver', [...drivers, { value: 'file', label: 'My recording…' }]);
+  if (settings.get('driver') === 'rest') drive(); // the avatar and its motions are known now
   const sizes = sizesUpTo(session.max_side);
   stage.framing.largest = session.max_side / 1.5;
   settings.setOptions('size', sizes.map(named));
@@ -308,7 +309,10 @@ async function drive() {
   try {
     if (name === 'file' && ownRecording) driver = new Recording(ownRecording);
     else if (name === 'recording') driver = new Recording(parseRecording(await text('recording')));
-    else if (name.startsWith('motion:')) driver = living(name, new Motion(JSON.parse(await text(`motions/${name.slice(7)}`))));
+    else if (name === 'rest' && chosenAvatar()?.tracking && offer.motions.includes('idle')) {
+      const { fps, frames } = JSON.parse(await text('motions/idle'));
+      driver = new Motion({ fps, frames: [frames[0]] }); // arms down; a request without a pose shows a T-pose
+    } else if (name.startsWith('motion:')) driver = living(name, new Motion(JSON.parse(await text(`motions/${name.slice(7)}`))));
   } catch (error) {
     complain(`cannot play this: ${error.message}`);
   }
@@ -456,7 +460,7 @@ page.addEventListener('file', async ({ detail }) => {
   }
 });
 settings.addEventListener('change', ({ detail: { name } }) => {
-  if (name === 'driver') drive();
+  if (name === 'driver' || (name === 'avatar' && settings.get('driver') === 'rest')) drive();
   if (name === 'name' && !settings.get('room')) return; // only rooms show it
   if (['avatar', 'height', 'room', 'name'].includes(name)) {
     wear();

@@ -30,6 +30,7 @@ from glsplat.extras.authoring.optimize.refine import random_pose
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Level, Splats
 
 __all__ = ["ConeConfig", "hidden", "with_cones", "without_useless_cones"]
@@ -74,8 +75,9 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
     less than ``psnr``, the cones of the splats that it misses most are widened. Where one of the pictures after that
     keeps less, all cones are widened by the least candidate with which further pictures keep it, and the check is
     repeated. ``cones_psnr`` is the worst of the last pictures, which the scene fills, before black.
-    Poses have no expressions, so splats that these move, and those within 8 cm, get cones that hide nothing. Levels
-    get their own cones. About two minutes on one core at 40,000 splats.
+    Heads are always drawn: brows, lashes and hair are thin, so that the far side shows through, and people look there.
+    Poses have no expressions, so splats that these move, and those within 8 cm, get cones that hide nothing, too.
+    Levels get their own cones. About two minutes on one core at 40,000 splats.
     Raises GlsplatError for a scene without a finite splat.
     """
     config = config or ConeConfig()
@@ -112,8 +114,11 @@ def with_cones(scene: Scene, config: ConeConfig | None = None, progress: Progres
         smallest = smallest - _widening(_pictures(scene, usable, rng, many, config), axis, smallest, config, report)
     cones = np.tile(_EVERYWHERE, (len(splats), 1))
     cones[usable] = _packed(axis, smallest)
-    if isinstance(scene, Avatar) and scene.shapes is not None:
-        cones[_uncovered(scene.splats, scene.shapes)] = _EVERYWHERE
+    if isinstance(scene, Avatar):
+        if "head" in scene.skeleton.names:
+            cones[scene.skeleton.under("head")[strongest_joint(scene.skin.joints, scene.skin.weights)]] = _EVERYWHERE
+        if scene.shapes is not None:
+            cones[_uncovered(scene.splats, scene.shapes)] = _EVERYWHERE
     done = replace(splats, cones=cones, cones_psnr=round(kept, 2))
     old: Sequence[Level[Any]] = scene.levels
     levels = tuple(replace(one, content=with_cones(one.content, config, progress)) for one in old)

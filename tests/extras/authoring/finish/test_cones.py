@@ -7,11 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.finish.cones import _far_camera, _weigher, without_useless_cones
+from glsplat.extras.authoring.finish.cones import (
+    ConeConfig,
+    _far_camera,
+    _weigher,
+    with_cones,
+    without_useless_cones,
+)
+from glsplat.skinning.skeleton import Skeleton
+from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Splats
 from tests.extras.authoring.optimize.figures import start
 from tests.extras.authoring.optimize.without import without_numba
-from tests.scenes import cloud
+from tests.scenes import cloud, limb
 
 
 @pytest.fixture
@@ -41,3 +49,15 @@ def test_cones_that_hide_hardly_any_splat_are_dropped(hiding: float) -> None:
     cones[: round(hiding * len(cones)), 3] = 0
     kept = without_useless_cones(replace(avatar, splats=replace(avatar.splats, cones=cones, cones_psnr=50.0))).splats
     assert (kept.cones is None, kept.cones_psnr) == ((False, 50.0) if hiding > 0.1 else (True, None))
+
+
+def test_heads_are_always_drawn() -> None:
+    avatar = limb(2000)
+    bones = avatar.skeleton
+    avatar = replace(avatar, skeleton=Skeleton.from_joints((*bones.names[:-1], "head"), bones.parents, bones.joints))
+    few = ConeConfig(directions=16, poses=2, size=64, choosing=2, tests=2, rounds=1, test_size=64, psnr=25.0)
+    made = with_cones(avatar, few).splats
+    assert made.cones is not None
+    everywhere = made.cones[:, 3] == -127
+    head = avatar.skeleton.under("head")[strongest_joint(avatar.skin.joints, avatar.skin.weights)]
+    assert head.any() and everywhere[head].all() and not everywhere[~head].all()
