@@ -32,6 +32,7 @@ NEEDED = {
     "evaluate": "evaluate",
     "watermark": "authoring",
     "report": "evaluate",
+    "selftest": "evaluate",
     "inspect": "consent",
 }
 

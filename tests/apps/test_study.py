@@ -31,7 +31,7 @@ def test_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "plan", str(path)]) == 0
     assert capsys.readouterr().out.count("fast, slow") == 3
     assert main(["study", "plan", str(path)]) == 1
-    assert "stays" in capsys.readouterr().err
+    assert "not overwritten" in capsys.readouterr().err
     walk = Walk(tmp_path)
     walk.to("rest")
     store = Store(tmp_path / "data", 1)
@@ -50,7 +50,7 @@ def test_the_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path.write_text(SMALL.replace("latency = 150", "latency = 10"))
     capsys.readouterr()
     assert main(["study", "export", str(path), "-o", str(tmp_path / "tables")]) == 1
-    assert "conditions 2.latency is not what it was" in capsys.readouterr().err
+    assert "conditions 2.latency has changed" in capsys.readouterr().err
 
 
 def test_a_new_folder_says_what_it_lacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

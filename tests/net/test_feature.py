@@ -40,7 +40,7 @@ class Counting(Feature):
     async def guard(self, request, handler):
         return web.Response(status=418) if request.path == "/metrics" else await handler(request)
 
-    def query(self, query):
+    def query(self, query, user):
         if "forbidden" in query:
             raise ProtocolError("forbidden is not allowed")
         return query

@@ -157,7 +157,7 @@ def test_what_comes_with_glsplat_shows_nobody(tmp_path):
 
 
 STRANGE = {
-    "no object": ("mine", "no record"),
+    "no object": ("mine", "not a record"),
     "a key that is not known": ({"rooms": ["a"]}, "'rooms', which this version does not know"),
     "a date": ({"until": "soon"}, "'until' needs a date"),
     "no such day": ({"until": "2026-02-30"}, "'until' needs a date"),

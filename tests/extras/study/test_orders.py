@@ -144,7 +144,7 @@ def test_no_plan(tmp_path: Path) -> None:
         read_plan(tmp_path)
     for data in (b"", b"{}", b"[]", b'{"version": 1, "participants": {"sub-002": {}}}', b"\xff", b"[" * 10**5):
         (tmp_path / PLAN).write_bytes(data)
-        with pytest.raises(FormatError, match="no plan"):
+        with pytest.raises(FormatError, match="not a plan"):
             read_plan(tmp_path)
 
 

@@ -79,7 +79,7 @@ def test_what_lies_there_without_a_record_is_left_out_with_a_line(tmp_path, made
     (uploads.folder / "new.glb").write_bytes(uploads.signed("new", (uploads.folder / "old.glb").read_bytes(), ""))
     server = assemble(ServedScene(file=SceneFile.of(limb(20))), config, uploads=uploads, consent=policy)
     assert server.catalogue.names == ("default", "new")
-    assert [("old.glb: left out" in line, line.count("\n")) for line in caplog.messages[:1]] == [(True, 0)]
+    assert [("old.glb: skipped" in line, line.count("\n")) for line in caplog.messages[:1]] == [(True, 0)]
     assert not any("consent" in line for line in caplog.messages[1:])
     shown = ConsentPolicy(without=True)
     server = assemble(ServedScene(file=SceneFile.of(limb(20))), config, uploads=uploads, consent=shown)

@@ -73,9 +73,9 @@ async def test_after_a_loss_it_asks_for_a_key_frame(serve, fake_backend, cameras
             await asyncio.sleep(0.03)
         found = said[-1]
     assert first.images() and not lost.video
-    with pytest.raises(ProtocolError, match="did not come"):
+    with pytest.raises(ProtocolError, match="did not arrive"):
         lost.images()
-    with pytest.raises(ProtocolError, match="did not come"):
+    with pytest.raises(ProtocolError, match="did not arrive"):
         lost.rgba()
     assert found.info["video"]["key"] and abs(grey(found) - (found.frame_id % 200 + 50)) < 6
 
