@@ -60,7 +60,7 @@ def test_a_page_says_that_a_name_is_taken_or_a_room_full(open_page: OpenPage, se
     first = visit(open_page, served, {"room": "lab", "name": "Ann"})
     first.until("window.glsplat.stats().shown > 0")
     second = visit(open_page, served, {"room": "lab", "name": "Ann"}, allow=["Unexpected response code: 409"])
-    second.until("document.querySelector('#status').textContent.includes('omebody called \"Ann\"')")
+    second.until("document.querySelector('#status').textContent.includes('The name \"Ann\"')")
     second.page.fill("#name", "Bob")
     second.page.locator("#name").blur()
     second.until("window.glsplat.stats().shown > 0")
@@ -90,7 +90,7 @@ def test_a_page_keeps_its_name_whatever_becomes_of_its_connection(open_page: Ope
     again = served.server.feature(Rooms)._rooms["lab"]._guests["Ann"]
     assert again is not guest and again.person.seat is seat and again.person.resume == token
     second = visit(open_page, served, {"room": "lab", "name": "Ann"}, allow=["Unexpected response code: 409"])
-    second.until("document.querySelector('#status').textContent.includes('omebody called \"Ann\"')")
+    second.until("document.querySelector('#status').textContent.includes('The name \"Ann\"')")
     assert people(served) == ["Ann"] and page.stats()["reconnects"] == 1
     second.page.close()
     page.page.reload()

@@ -193,7 +193,7 @@ def test_who_speaks_moves_the_mouth_and_only_weights_leave(open_page: OpenPage, 
     served = serve(backend, offered=offered)
     refused = visit(open_page, served)  # a browser without a microphone
     refused.page.click("#voice-talk")
-    refused.until("document.querySelector('#voice-state').textContent.startsWith('It does not listen')")
+    refused.until("document.querySelector('#voice-state').textContent.startsWith('Not listening')")
     refused.page.close()
     page = opened(listening, served.page, ";" + FAKE_XR + WATCH)
 

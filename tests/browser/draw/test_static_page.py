@@ -172,7 +172,7 @@ def test_what_is_missing_or_damaged_is_a_sentence(visit: Callable[..., Opened], 
     page = visit("about:blank")
     page.allowed.append("404")
     broken, missing = {"body": b"GSAV\1\0\0\0" + bytes(100)}, {"status": 404}
-    for answer, words in ((broken, "avatar"), (missing, "The file avatar.splats is not there (404)")):
+    for answer, words in ((broken, "avatar"), (missing, "Cannot load avatar.splats (404)")):
         page.page.unroute("**/avatar.splats")
         page.page.route("**/avatar.splats", functools.partial(_answer, answer=answer))
         page.page.goto(host)

@@ -49,7 +49,7 @@ def test_every_picture_is_the_one_that_was_asked_for_and_mishaps_are_no_end(open
     page.until("window.glsplat.stats().shown > 0")
     page.js("fakeXR.device.grants = false")  # a refused session leaves the page as it was
     page.page.click("#enter-vr")
-    page.until("/headset/.test(document.querySelector('#status').textContent)")
+    page.until("/annot enter VR/.test(document.querySelector('#status').textContent)")
     page.page.close()
     page = inside(open_page, stored)
     # after each XR frame: the id that the page says it shows, and the ones that its textures hold
@@ -157,7 +157,7 @@ def test_a_token_is_asked_for_until_it_is_right(open_page: OpenPage, serve: Any)
     page.until("!document.querySelector('#token-form').hidden")
     page.page.fill("#token", "wrong")
     page.page.keyboard.press("Enter")
-    page.until("/wrong/.test(document.querySelector('#token-why').textContent)")
+    page.until("/Wrong/.test(document.querySelector('#token-why').textContent)")
     page.until("!document.querySelector('#token-form').hidden")
     page.page.fill("#token", "s3cret")
     page.page.keyboard.press("Enter")
