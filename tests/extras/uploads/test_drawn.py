@@ -81,7 +81,7 @@ def test_what_lies_in_the_folder_is_offered_and_what_is_no_avatar_left_out(tmp_p
     (tmp_path / " x.glb").write_bytes(b"")
     offered = server_of(tmp_path).session()["avatars"]
     assert [(one["name"], one["made"]) for one in offered] == [("default", False), ("mine", False)]
-    assert len(caplog.records) == 3 and all("left out" in record.message for record in caplog.records)
+    assert len(caplog.records) == 3 and all("skipped" in record.message for record in caplog.records)
 
 
 @pytest.mark.parametrize("name", ["default", "ann"])

@@ -61,6 +61,7 @@ const immersive = new Immersive(gl, stage, settings, { rows: () => [], press }, 
   driven: () => state?.condition !== null,
   speaks: (sample) => sample,
   measured: () => null,
+  radius: () => 0, // alone
   onCalibrated: () => {},
   onEnd: () => viewer.start(),
 });
