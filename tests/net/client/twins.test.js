@@ -6,7 +6,7 @@ import { parseReply } from './stream/reply.js';
 let now = 0; // ms
 let sockets = [];
 let timers = [];
-performance.now = () => now;
+Object.defineProperty(performance, 'now', { value: () => now }); // Node 18: cannot be assigned
 globalThis.setTimeout = (then) => timers.push(then);
 globalThis.location = { href: 'http://server.example/vr/', protocol: 'http:' };
 globalThis.CustomEvent ??= class extends Event { // Node 18
