@@ -173,6 +173,14 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   said.push([one.here]);
   one.wish = 'server';
   said.push([one.here, one.asks('', 1e9)]);
+  const loaded = new Choice('auto'); // a page without a GPU: 12 frames a second with the room, pictures at 4
+  run(loaded, 0, 4000, 12);
+  loaded.measured(250, 4, 4000); // the people alone at 4 a second: no gain with the room
+  said.push([loaded.here]);
+  loaded.measured(42, 4, 4001); // 24 alone, 8 with the room
+  said.push([loaded.here, loaded.reason]);
+  run(loaded, 4001, 14000, 10); // what it really shows; as smooth as before: no way back
+  said.push([loaded.here, loaded.reason]);
   const lost = new Choice('auto');
   lost.measured(5, 30, 0);
   lost.asks('this browser has no WebGL 2', 10);
@@ -194,7 +202,9 @@ def test_the_choice(bench: Bench) -> None:
     assert said[4] == [True] and said[5] == [True]
     assert said[6][0] is False and "drew 40 of 72 pictures a second" in said[6][1] and said[6][2:] == [False, True]
     assert said[7] == [True] and said[8] == [False, False]
-    assert said[9] == [False, "this browser has no WebGL 2"] and said[10] == [False]
+    assert said[9] == [False] and said[10] == [True, "8 pictures a second here, 4 from the server"]
+    assert said[11] == [True, "10 pictures a second here, 4 from the server"]
+    assert said[12] == [False, "this browser has no WebGL 2"] and said[13] == [False]
 
 
 def test_two_people_in_a_room_are_drawn_by_each(visit: Callable[..., Opened], serve: Any) -> None:

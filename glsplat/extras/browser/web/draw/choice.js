@@ -1,7 +1,8 @@
 // Chooses whether the server draws, and sends pictures, or this device. Pictures come first. The device takes over once
-// it has an avatar and was measured to be faster, and gives back when it misses the display's rate.
+// it has an avatar and was measured to be faster, and gives back when the page loses the rate that it had before.
 
-const SHARE = 0.8; // of the display's rate; if slower for
+const GAIN = 1.25; // times the server's pictures a second: less is not worth a change
+const SHARE = 0.8; // of the page's frames a second with the server's pictures; if slower for
 const PATIENCE = 3000; // ms, the server draws again
 const WATCHED = 2000; // ms of pictures before their rate is known
 const PAUSE = 60_000; // ms before another try; doubles each time
@@ -11,6 +12,8 @@ export class Choice {
   reason = 'sessions start with its pictures'; // of the choice, in words
   #wish;
   #display = 60; // Hz
+  #pace = 60; // frames of the page a second, the server's pictures and the room in them
+  #theirs = 0; // the server's pictures a second, before this device took over
   #times = []; // ms, frames of the last two seconds
   #begun = null; // ms
   #slow = null; // ms, start of being too slow
@@ -55,12 +58,13 @@ export class Choice {
     return !this.here && known && this.#wish !== 'server' && now >= this.#until;
   }
 
-  /** Choose by the time of a picture here, `ms`, and the server's pictures per second, `rate`. */
+  /** Choose by the time of the people alone in a picture here, `ms`, and the server's pictures per second, `rate`. */
   measured(ms, rate, now) {
-    const own = Math.min(1000 / ms, this.#display);
-    if (this.#wish === 'here' ? Number.isFinite(ms) : own > rate) {
-      Object.assign(this, { here: true, reason: `${own.toFixed(0)} pictures a second here, ${rate.toFixed(0)} from the server` });
-      [this.#slow, this.#times] = [null, []];
+    const room = this.#pace < 0.9 * this.#display ? 1000 / this.#pace : 0; // ms of all else in a frame, if it shows
+    const own = Math.min(1000 / (ms + room), this.#display);
+    if (this.#wish === 'here' ? Number.isFinite(ms) : own > GAIN * rate) {
+      [this.here, this.#theirs, this.#slow, this.#times] = [true, rate, null, []];
+      this.#say(own);
     } else {
       this.#later(now, `the server is faster: ${rate.toFixed(0)} pictures a second, ${own.toFixed(0)} here`);
     }
@@ -76,13 +80,19 @@ export class Choice {
     const rate = ((this.#times.length - 1) * 1000) / span;
     if (!this.here) {
       if (rate > this.#display) this.#display = rate; // the fastest rate that was observed
+      this.#pace = rate;
       return;
     }
-    if (rate >= SHARE * this.#display) this.#slow = null;
+    this.#say(rate);
+    if (rate >= SHARE * this.#pace) this.#slow = null;
     else this.#slow ??= now;
     if (this.#wish === 'auto' && this.#slow !== null && now - this.#slow >= PATIENCE) {
-      this.#later(now, `this device drew ${rate.toFixed(0)} of ${this.#display.toFixed(0)} pictures a second`);
+      this.#later(now, `this device drew ${rate.toFixed(0)} of ${this.#pace.toFixed(0)} pictures a second`);
     }
+  }
+
+  #say(rate) {
+    this.reason = `${rate.toFixed(0)} pictures a second here, ${this.#theirs.toFixed(0)} from the server`;
   }
 
   #later(now, reason) {
