@@ -156,8 +156,9 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "(not below #)": "glsplat/extras/speech/web/voice/hurry.js:LEAST",
     },
     "webgl.md": {
-        "rate stays below # for": "glsplat/extras/browser/web/draw/choice.js:SHARE",
-        "for # s, and tries again": "glsplat/extras/browser/web/draw/choice.js:PATIENCE / 1000",
+        "room would be # times as fast": "glsplat/extras/browser/web/draw/choice.js:GAIN",
+        "frames stay below # of their rate": "glsplat/extras/browser/web/draw/choice.js:SHARE",
+        "for # s, and": "glsplat/extras/browser/web/draw/choice.js:PATIENCE / 1000",
         "retried after # s": "glsplat/extras/browser/web/avatar/cache.js:PAUSE / 1000",
         "R32F texture, # floats": "glsplat/extras/browser/web/draw/drawing.js:RECORD_ROW",
         "textures of #,": "glsplat/extras/browser/web/draw/device.js:WIDEST",
