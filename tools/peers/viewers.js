@@ -1,9 +1,10 @@
-// Frames of the page against those of GaussianSplats3D and Spark, in one page, in turn. Run by web_viewers.py.
+// Frames of the page against those of other viewers, in one page, in turns. Run by python -m tools.peers.
 
 import * as THREE from 'three';
 import * as OLDER from 'older'; // what GaussianSplats3D was made for: with newer ones it shows nothing
 import * as GS3D from 'gs3d';
 import { SparkRenderer, SplatMesh } from 'spark';
+import * as GSPLAT from 'gsplat';
 import { Crowd } from '/vr/draw/crowd.js';
 import { readAvatar } from '/vr/avatar/avatar.js';
 import { quaternionOf } from '/vr/draw/bones.js';
@@ -133,7 +134,39 @@ async function gs3d(side) {
   };
 }
 
-const MAKE = { 'this page': (side) => ours(side, false), 'this page, walking': (side) => ours(side, true), GaussianSplats3D: gs3d, Spark: spark };
+/** gsplat.js has one camera a canvas: both eyes are drawn into the same half, one after the other. */
+async function gsplat(side) {
+  const canvas = Object.assign(document.createElement('canvas'), { width: side, height: side });
+  const renderer = new GSPLAT.WebGLRenderer(canvas, []);
+  renderer.setSize(side, side);
+  const scene = new GSPLAT.Scene();
+  await GSPLAT.PLYLoader.LoadAsync('/data/avatar.ply', scene);
+  const camera = new GSPLAT.Camera();
+  camera.data.fx = camera.data.fy = side / 2 / Math.tan((FOV * Math.PI) / 360);
+  camera.data.setSize(side, side);
+  camera.data.near = 0.05;
+  const over = new THREE.Quaternion(1, 0, 0, 0); // its cameras look along +z, y down
+  return {
+    gl: renderer.gl, canvas,
+    draw(angle, _, distance, height) {
+      for (const eye of eyesAt(angle, distance, height)) {
+        const turned = eye.quaternion.clone().multiply(over);
+        camera.position = new GSPLAT.Vector3(...eye.position);
+        camera.rotation = new GSPLAT.Quaternion(turned.x, turned.y, turned.z, turned.w);
+        camera.update();
+        renderer.render(scene, camera);
+      }
+    },
+  };
+}
+
+const MAKE = {
+  'this page': (side) => ours(side, false),
+  'this page, walking': (side) => ours(side, true),
+  GaussianSplats3D: gs3d,
+  Spark: spark,
+  'gsplat.js': gsplat,
+};
 
 let drawers = {};
 

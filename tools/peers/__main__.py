@@ -1,10 +1,10 @@
-"""Frames of the page against those of other viewers of splats in a browser: the table of docs/webgl.md. By hand.
+"""Frames of glsplat against those of other viewers of splats, in turns in one run: docs/measured/peers.md. By hand.
 
-    python -m tools.peers.web_viewers FOLDER [SIDE ...]
+    python -m tools.peers FOLDER [SIDE ...]        # minutes of a quiet machine
 
-FOLDER is where npm installs the others (three, GaussianSplats3D, Spark). The embedded avatar, all 40,000 splats:
-standing for all, and walking for the page and for glsplat's own renderer, which draws, reads back and encodes as a
-server does.
+FOLDER is where npm installs the others, and where a picture of each is left to look at. The embedded avatar, all
+40,000 splats: standing for all, and walking for those that can, which are the page and glsplat's own renderer. That one
+draws, reads back and encodes as a server does.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -30,16 +31,20 @@ from apps.webpage.command import baked
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.formats.motion_files import load_motion
+from glsplat.io.files import replace_file
+from glsplat.io.provenance import machine
 from glsplat.net.codec.encode import encode_picture
 from glsplat.net.pages.site import page_files
 from glsplat.views import view_of
 from tests import needs
+from tools.docs.measured import FOLDER, Table, page_of
 
 PACKAGES = (
     "three@0.180.0",
     "older@npm:three@0.160.0",
     "@mkkellogg/gaussian-splats-3d@0.4.7",
     "@sparkjsdev/spark@2.2.0",
+    "gsplat@1.2.9",
 )
 MODULES = {
     "older": "/npm/older/build/three.module.js",
@@ -47,9 +52,10 @@ MODULES = {
     "three/addons/": "/npm/three/examples/jsm/",
     "gs3d": "/npm/@mkkellogg/gaussian-splats-3d/build/gaussian-splats-3d.module.js",
     "spark": "/npm/@sparkjsdev/spark/dist/spark.module.js",
+    "gsplat": "/npm/gsplat/dist/index.es.js",
     "fflate": "/npm/fflate/esm/browser.js",
 }
-OWN = "own renderer and JPEG, walking"
+OWN = "`Renderer` and JPEG, walking"
 ROUNDS, FRAMES = 4, 8
 STANDING = 7  # frame of the walk in which it stands for all
 SCOPES = {"/npm/@mkkellogg/": {"three": MODULES["older"]}}
@@ -91,7 +97,7 @@ def files() -> dict[str, bytes]:
         ply = (Path(folder) / "avatar.ply").read_bytes()
     html = f'<!doctype html><script type="importmap">{json.dumps({"imports": MODULES, "scopes": SCOPES})}</script>'
     html += '<script type="module" src="/data/page.js"></script>'
-    page = Path(__file__).with_suffix(".js").read_bytes()
+    page = Path(__file__).with_name("viewers.js").read_bytes()
     return {
         "/data/index.html": html.encode(),
         "/data/page.js": page,
@@ -168,8 +174,8 @@ def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple
     return {name: (float(np.median(walls[name])), 1e3 * used[name] / (ROUNDS * FRAMES)) for name in walls}
 
 
-def main(folder: Path, sides: list[int]) -> None:
-    """Print a table."""
+def compared(folder: Path, sides: list[int]) -> Iterator[Table]:
+    """One table a size; leaves a picture of each viewer in the folder."""
     if not (folder / "node_modules").is_dir():
         subprocess.run(["npm", "install", "--silent", "--prefix", str(folder), *PACKAGES], check=True)
     _Handler.roots = {"npm": folder / "node_modules"}
@@ -180,22 +186,38 @@ def main(folder: Path, sides: list[int]) -> None:
         flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]
         browser = play.chromium.launch(executable_path=needs.program("chromium"), headless=True, args=flags)
         for side in sides:
+            found = {}
             for name, view in VIEWS.items():
                 page = browser.new_page()
                 page.on("pageerror", lambda error: print("page:", error, file=sys.stderr))
                 page.goto(f"http://localhost:{server.server_port}/data/index.html")
                 page.wait_for_function("window.ready", timeout=60_000)
-                found = measured(page, side, view)
-                for kind, content in page.evaluate(
-                    "(where) => pictures(where)", dict(zip(("distance", "height"), view, strict=True))
-                ).items():
+                found[name] = measured(page, side, view)
+                where = dict(zip(("distance", "height"), view, strict=True))
+                for kind, content in page.evaluate("(where) => pictures(where)", where).items():
                     picture = base64.b64decode(content.partition(",")[2])
-                    (folder / f"{kind}, {side}, {name}.png").write_bytes(picture)
+                    replace_file(folder / f"{kind}, {side}, {name}.png", [picture])
                 page.close()
-                for kind, (wall, cpu) in found.items():
-                    print(f"| 2 x {side}², {name} | {kind} | {wall:.0f} | {cpu:.0f} |", flush=True)
+            rows = [f"| | {' | '.join(f'{name}: ms, CPU ms' for name in VIEWS)} |", "|---|" + "--:|" * len(VIEWS)]
+            for kind in found["whole"]:
+                cells = [f"{found[name][kind][0]:.0f}, {found[name][kind][1]:.0f}" for name in VIEWS]
+                rows.append(f"| {kind} | {' | '.join(cells)} |")
+            yield f"{side}", f"2 x {side}^2, Chromium {browser.version} and glsplat in turns.", "\n".join(rows)
         browser.close()
     server.shutdown()
+
+
+def main(folder: Path, sides: list[int]) -> None:
+    """Write the page."""
+    facts = machine()
+    said = (
+        f"Commit {facts['commit']}, {facts['date']}; {facts['machine']}, {facts['cores']} cores, load "
+        f"{os.getloadavg()[0]:.1f} before. A frame of both eyes of all 40,000 splats of the embedded avatar with a "
+        "circling camera, drawn by ANGLE on Mesa's software driver; the median, and CPU time of all processes. "
+        f"{', '.join(PACKAGES)}. Peers show a still pose: none has skinned splats."
+    )
+    text = page_of("Other viewers", "python -m tools.peers FOLDER", said, compared(folder, sides))
+    replace_file(FOLDER / "peers.md", [text])
 
 
 if __name__ == "__main__":
