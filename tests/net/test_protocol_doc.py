@@ -81,9 +81,13 @@ def test_the_joint_orders_of_the_page():
     joints = {int(number): (name, int(parent)) for number, name, parent in cells}
     assert joints == dict(enumerate(zip(JOINT_NAMES, PARENTS.tolist(), strict=True)))
     hand = " ".join(TEXT.partition("WebXR's hand joints (")[2].partition("### ")[0].split())
-    first, *fingers = re.findall(r"`([a-z-]+)-`", hand)
+    thumb_name, *fingers = re.findall(r"`([a-z-]+)-`", hand)
     thumb, finger = (re.findall(r"`([a-z-]*[a-z])`", part) for part in hand.partition("`wrist`")[2].split("; then"))
-    names = ["wrist", *(f"{first}-{part}" for part in thumb), *(f"{one}-{part}" for one in fingers for part in finger)]
+    names = [
+        "wrist",
+        *(f"{thumb_name}-{part}" for part in thumb),
+        *(f"{one}-{part}" for one in fingers for part in finger),
+    ]
     assert names == list(HAND_JOINTS)
     for key, first, last in (("body_pose", 1, 21), ("lhand_pose", 25, 39), ("rhand_pose", 40, 54)):
         assert re.search(rf"`{key}`\s(is\s)?{first} to\s{last}", TEXT) and POSE_KEYS[key] == slice(first, last + 1)
