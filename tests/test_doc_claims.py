@@ -92,9 +92,14 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "# of it end the connection": f"{SESSION}.flood",
         "may send # frames a second": f"{LIMITS}.frames",
         "frames a second (# at once), ": f"{LIMITS}.frames_burst",
+        "at once), # control frames": f"{LIMITS}.control",
+        "control frames (#) and": f"{LIMITS}.control_burst",
+        "(100) and # MiB": f"{LIMITS}.bytes / 2**20",
+        "MiB (# MiB); one": f"{LIMITS}.bytes_burst / 2**20",
         "more than # s of each second": f"{LIMITS}.work",
         "of each second (# s while": f"{LIMITS}.work_alone",
         "beyond # samples a second": f"{LIMITS}.samples",
+        "samples a second (# at once), only": f"{LIMITS}.samples_burst",
         "all of up to # characters": "glsplat.net.guard.limits:_SHORT_MESSAGE",
         "Above # s (`max-time`)": "glsplat.net.backends.gl:MAX_PICTURE_S",
         "always # pixels a splat and view": "glsplat.net.backends.budget:_MIN_SPLAT_PIXELS",
@@ -125,6 +130,7 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "or # MB in all": f"{UPLOADS}.body_bytes / 1e6",
         "below # kB a second": f"{UPLOADS}.rate / 1000",
         "of which # s are forgiven": f"{UPLOADS}.stall",
+        "forgiven, or more than # s": f"{UPLOADS}.receive_timeout",
         "more than # `POST /avatars`": f"{LIMITS}.uploads_burst",
         "plus one every # s": f"{LIMITS}.uploads ** -1",
         "holds # avatars": f"{UPLOADS}.max_avatars",
@@ -216,7 +222,7 @@ def test_a_number_is_that_of_the_code(page: str, pattern: str, true: Callable[[]
     found = re.search(pattern, (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
     assert found is not None, f"{page} has no {pattern!r} any more: change the claim here"
     word = found[1].lower()
-    assert NUMBERS[word] if word in NUMBERS else int(word) == true()
+    assert (NUMBERS[word] if word in NUMBERS else int(word)) == true()
 
 
 def test_the_sizes_of_the_extras_are_about_right() -> None:

@@ -75,11 +75,19 @@ def test_the_object_of_a_job_is_that_of_the_page():
 
 
 def test_the_joint_orders_of_the_page():
-    """Row by row: number, name, parent; and which pose key holds which."""
-    cells = re.findall(r"(?<=\| )(\d+) \| ([a-z0-9_]+) \| (-?\d+)(?= \|)", TEXT)
+    """Number, name and parent; which pose key holds which; the hand's names by finger."""
+    table = TEXT.partition("# joint")[2].partition("```")[0]
+    cells = re.findall(r"(\d+) ([a-z0-9_]+) +(-?\d+)", table)
     joints = {int(number): (name, int(parent)) for number, name, parent in cells}
     assert joints == dict(enumerate(zip(JOINT_NAMES, PARENTS.tolist(), strict=True)))
-    hand = dict(re.findall(r"(?<=\| )(\d+) \| ([a-z]+(?:-[a-z]+)*)(?= \|)", TEXT.split("WebXR's hand joints (")[1]))
-    assert {int(number): name for number, name in hand.items()} == dict(enumerate(HAND_JOINTS))
+    hand = " ".join(TEXT.partition("WebXR's hand joints (")[2].partition("### ")[0].split())
+    thumb_name, *fingers = re.findall(r"`([a-z-]+)-`", hand)
+    thumb, finger = (re.findall(r"`([a-z-]*[a-z])`", part) for part in hand.partition("`wrist`")[2].split("; then"))
+    names = [
+        "wrist",
+        *(f"{thumb_name}-{part}" for part in thumb),
+        *(f"{one}-{part}" for one in fingers for part in finger),
+    ]
+    assert names == list(HAND_JOINTS)
     for key, first, last in (("body_pose", 1, 21), ("lhand_pose", 25, 39), ("rhand_pose", 40, 54)):
         assert re.search(rf"`{key}`\s(is\s)?{first} to\s{last}", TEXT) and POSE_KEYS[key] == slice(first, last + 1)
