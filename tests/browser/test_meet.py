@@ -138,9 +138,24 @@ ELSEWHERE = "document.querySelector('#status')?.textContent === 'You are in this
 
 
 def test_a_second_tab_says_so_and_takes_over(open_page: OpenPage, served: Any) -> None:
+    """It continues as the same person in the same place."""
     address = f"{served.page}?room=lab&name=Ann"
     first = visit(open_page, served, address=address)
     first.until("window.glsplat.stats().shown > 0")
+    room = served.server.feature(Rooms)._rooms["lab"]
+
+    def ann() -> tuple[Any, ...]:
+        person = room._guests["Ann"].person
+        return person.resume, person.avatar, person.seat.tobytes()
+
+    def stands_at(z: float) -> bool:
+        return abs(room._guests["Ann"].person.newest.pose.trans[2] - z) < 0.02
+
+    before = ann()
+    first.page.focus("#canvas")
+    first.page.keyboard.press("w")
+    first.page.keyboard.press("w")
+    first.meanwhile(lambda: stands_at(0.8))
     second = Opened(first.page.context.new_page(), ["Unexpected response code: 409"])
     second.page.goto(address)
     second.until(
@@ -150,7 +165,9 @@ def test_a_second_tab_says_so_and_takes_over(open_page: OpenPage, served: Any) -
     second.page.click("#again")
     second.until("window.glsplat.stats().state === 'open'")
     first.until(ELSEWHERE)
-    assert people(served) == ["Ann"] and not second.unexpected()
+    second.meanwhile(lambda: stands_at(0.8))
+    assert people(served) == ["Ann"] and ann() == before and not second.unexpected()
+    assert first.stats()["state"] == "off"
 
 
 NAMES = """(people, where = {}, height = 512) => {

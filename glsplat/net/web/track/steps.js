@@ -20,8 +20,8 @@ export class Steps {
     return this.#matrix;
   }
 
-  reset() {
-    this.#matrix = IDENTITY;
+  reset(matrix = IDENTITY) {
+    this.#matrix = matrix;
   }
 
   /** Move by metres along `ahead` (level, unit) and to its right, unless somebody stands there. Returns whether it did. */
