@@ -216,3 +216,19 @@ def test_nobody_steps_into_another(chromium: Any) -> None:
         np.testing.assert_allclose(walked["trans"], [0, 0.1, 1.2], atol=1e-6)
         np.testing.assert_allclose(walked["root"], [0, np.pi / 2, 0], atol=1e-6)
         np.testing.assert_allclose(walked["head"], [0, 1.6, 1.2, 0, np.sqrt(0.5), 0, np.sqrt(0.5)], atol=1e-6)
+
+
+def test_a_face_is_asked_for_with_the_pixels_that_it_covers(open_page: OpenPage, served: Any) -> None:
+    """Of the display, up to twice the side of the setting."""
+    page = visit(open_page, served, {"drawer": False}, address=f"{served.page}?room=lab&name=Ann", size=(700, 460))
+    page.until("window.glsplat.stats().shown > 0")
+
+    def sides() -> float:
+        """Return the requested pixels a pixel of the display, along a side: the picture fills it."""
+        width, height = (jobs(served, 1)[-1].cameras[0].width, jobs(served, 1)[-1].cameras[0].height)
+        return float(np.sqrt(width * height / (700 * 460)))
+
+    page.page.click("#face")
+    page.meanwhile(lambda: 0.95 < sides() < 1.1)
+    page.page.click("#face")
+    page.meanwhile(lambda: sides() < 0.9)
