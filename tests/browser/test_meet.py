@@ -113,6 +113,35 @@ def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPag
     assert alone.stats()["session"] == "none"
 
 
+def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page: OpenPage, served: Any) -> None:
+    other = visit(open_page, served, address=f"{served.page}?room=lab&name=Bob")
+    other.until("window.glsplat.stats().shown > 0")
+    page = enter_emulated(open_page, served, "?room=lab&name=Ann")
+
+    def head() -> Any:
+        return np.array(samples[max(number for number, one in samples.items() if one.left is not None)].head[:3])
+
+    def pinch(seconds: float) -> Any:
+        """Return how far the head has moved when the pinch has ended."""
+        page.page.keyboard.press("h")  # the level hand points at the floor 2 m before it
+        page.meanwhile(lambda: samples[max(samples)].left[1] > 1.1)
+        before = head()
+        page.page.keyboard.down("t")
+        page.wait(seconds)
+        page.page.keyboard.up("t")
+        page.wait(1.0)
+        page.page.keyboard.press("h")
+        return head() - before
+
+    page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
+    page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 2) if one.room))
+    assert np.abs(pinch(2.0)).max() < 0.02  # there is Bob
+    look_left(page)
+    assert np.abs(pinch(0.1)).max() < 0.02  # too short
+    by = pinch(2.0)
+    assert 1.5 < by[0] < 3.5 and np.abs(by[1:]).max() < 0.6
+
+
 def company(text: str) -> str:
     return f"document.querySelector('#company')?.textContent === {json.dumps(text)}"
 
