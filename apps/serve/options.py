@@ -205,13 +205,16 @@ class ServeOptions:
     # ---------------------------------------------------------------------------------------------------------- links
     fps: float | None = _option(
         None, "pictures a second to hold for each client: coarser levels of detail first, then smaller pictures, as "
-        "replies say (default: as many as are requested)", Number(1, 240, "pictures a second"), sample=45,
+        "replies say (default: 6 for members of a room, else as many as are requested)",
+        Number(1, 240, "pictures a second"), sample=45,
     )  # fmt: skip
     bitrate: float | None = _option(
         None, "Mbit/s at most for each client that reports arrivals (default: as much as its link takes)",
         Number(0.1, 1e5, "Mbit/s"), sample=20,
     )  # fmt: skip
-    fixed: bool = _option(False, "do not fit size and quality to the links of clients that report arrivals")
+    fixed: bool = _option(
+        False, "do not fit size and quality to the links of clients that report arrivals, nor to a room"
+    )
     video: bool = _option(
         False, "send video instead of JPEGs to clients that decode it: far fewer bytes, more CPU; needs glsplat[video]"
     )

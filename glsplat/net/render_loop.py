@@ -35,6 +35,7 @@ __all__ = ["LoopOwner", "RenderLoop"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
+_ROOM_FPS = 6.0  # pictures a second for each member of a room, by less detail, where pictures may be fitted to links
 _UNHEALTHY_FAILURES = 3  # failed pictures in a row before /healthz reports it
 _MAX_LOSSES = 2  # lost workers after which a picture is not drawn again
 _STUCK_S = 10.0  # time of a picture before /healthz reports it
@@ -322,7 +323,8 @@ class RenderLoop:
         taken = Taken(client, request, now - waited, request.cameras, client.notice(), solution=solution)
         if request.form != "native" or not client.number:  # older clients know one size; 0 is the server itself
             return taken
-        timely = self._adaptive_quality.detail(client.number, now)
+        least = _ROOM_FPS if client.member is not None and client.session.config.adapt else None
+        timely = self._adaptive_quality.detail(client.number, now, least)
         rung = client.session.rung(request, now)
         detail = timely if rung is None else timely.within(rung)
         cameras = detail.resized(request.cameras)

@@ -113,6 +113,35 @@ def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPag
     assert alone.stats()["session"] == "none"
 
 
+def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page: OpenPage, served: Any) -> None:
+    other = visit(open_page, served, address=f"{served.page}?room=lab&name=Bob")
+    other.until("window.glsplat.stats().shown > 0")
+    page = enter_emulated(open_page, served, "?room=lab&name=Ann")
+
+    def head() -> Any:
+        return np.array(samples[max(number for number, one in samples.items() if one.left is not None)].head[:3])
+
+    def pinch(seconds: float) -> Any:
+        """Return how far the head has moved when the pinch has ended."""
+        page.page.keyboard.press("h")  # the level hand points at the floor 2 m before it
+        page.meanwhile(lambda: samples[max(samples)].left[1] > 1.1)
+        before = head()
+        page.page.keyboard.down("t")
+        page.wait(seconds)
+        page.page.keyboard.up("t")
+        page.wait(1.0)
+        page.page.keyboard.press("h")
+        return head() - before
+
+    page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
+    page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 2) if one.room))
+    assert np.abs(pinch(2.0)).max() < 0.02  # there is Bob
+    look_left(page)
+    assert np.abs(pinch(0.1)).max() < 0.02  # too short
+    by = pinch(2.0)
+    assert 1.5 < by[0] < 3.5 and np.abs(by[1:]).max() < 0.6
+
+
 def company(text: str) -> str:
     return f"document.querySelector('#company')?.textContent === {json.dumps(text)}"
 
@@ -138,9 +167,24 @@ ELSEWHERE = "document.querySelector('#status')?.textContent === 'You are in this
 
 
 def test_a_second_tab_says_so_and_takes_over(open_page: OpenPage, served: Any) -> None:
+    """It continues as the same person in the same place."""
     address = f"{served.page}?room=lab&name=Ann"
     first = visit(open_page, served, address=address)
     first.until("window.glsplat.stats().shown > 0")
+    room = served.server.feature(Rooms)._rooms["lab"]
+
+    def ann() -> tuple[Any, ...]:
+        person = room._guests["Ann"].person
+        return person.resume, person.avatar, person.seat.tobytes()
+
+    def stands_at(z: float) -> bool:
+        return abs(room._guests["Ann"].person.newest.pose.trans[2] - z) < 0.02
+
+    before = ann()
+    first.page.focus("#canvas")
+    first.page.keyboard.press("w")
+    first.page.keyboard.press("w")
+    first.meanwhile(lambda: stands_at(0.8))
     second = Opened(first.page.context.new_page(), ["Unexpected response code: 409"])
     second.page.goto(address)
     second.until(
@@ -150,7 +194,9 @@ def test_a_second_tab_says_so_and_takes_over(open_page: OpenPage, served: Any) -
     second.page.click("#again")
     second.until("window.glsplat.stats().state === 'open'")
     first.until(ELSEWHERE)
-    assert people(served) == ["Ann"] and not second.unexpected()
+    second.meanwhile(lambda: stands_at(0.8))
+    assert people(served) == ["Ann"] and ann() == before and not second.unexpected()
+    assert first.stats()["state"] == "off"
 
 
 NAMES = """(people, where = {}, height = 512) => {
@@ -199,3 +245,19 @@ def test_nobody_steps_into_another(chromium: Any) -> None:
         np.testing.assert_allclose(walked["trans"], [0, 0.1, 1.2], atol=1e-6)
         np.testing.assert_allclose(walked["root"], [0, np.pi / 2, 0], atol=1e-6)
         np.testing.assert_allclose(walked["head"], [0, 1.6, 1.2, 0, np.sqrt(0.5), 0, np.sqrt(0.5)], atol=1e-6)
+
+
+def test_a_face_is_asked_for_with_the_pixels_that_it_covers(open_page: OpenPage, served: Any) -> None:
+    """Of the display, up to twice the side of the setting."""
+    page = visit(open_page, served, {"drawer": False}, address=f"{served.page}?room=lab&name=Ann", size=(700, 460))
+    page.until("window.glsplat.stats().shown > 0")
+
+    def sides() -> float:
+        """Return the requested pixels a pixel of the display, along a side: the picture fills it."""
+        width, height = (jobs(served, 1)[-1].cameras[0].width, jobs(served, 1)[-1].cameras[0].height)
+        return float(np.sqrt(width * height / (700 * 460)))
+
+    page.page.click("#face")
+    page.meanwhile(lambda: 0.95 < sides() < 1.1)
+    page.page.click("#face")
+    page.meanwhile(lambda: sides() < 0.9)

@@ -68,6 +68,7 @@ FULL = Detail()
 class _State:
     """The state of one viewer."""
 
+    rate: float  # pictures a second to hold
     steps: int = 0  # of the level of detail
     scale: int = 0  # index of SCALES
     times: deque[float] = field(default_factory=lambda: deque(maxlen=_MEDIAN_OF))  # seconds of the last pictures
@@ -88,17 +89,21 @@ class _State:
 
 
 class AdaptiveQuality:
-    """Chooses the detail of each viewer's pictures, so that each gets ``rate`` pictures a second; None: full detail."""
+    """Chooses the detail of each viewer's pictures, so that each gets ``rate`` pictures a second; None: no target."""
 
     def __init__(self, rate: float | None) -> None:
         self.rate = rate
         self._states: dict[int, _State] = {}
 
-    def detail(self, viewer: int, now: float) -> Detail:
-        """Return the detail of a viewer's next picture; ``now`` in seconds."""
-        if self.rate is None:
+    def detail(self, viewer: int, now: float, least: float | None = None) -> Detail:
+        """Return the detail of a viewer's next picture; ``now`` in seconds.
+
+        ``least`` is the viewer's rate where there is no target; without either the detail is full.
+        """
+        rate = self.rate or least
+        if rate is None:
             return FULL
-        state = self._states.setdefault(viewer, _State(since=now))
+        state = self._states.setdefault(viewer, _State(rate, since=now))
         state.seen = now
         for gone in [one for one, other in self._states.items() if now - other.seen > 60 * _LOAD_WINDOW_S]:
             del self._states[gone]
@@ -110,7 +115,7 @@ class AdaptiveQuality:
         ``smaller``: it was smaller than its ``detail``, so it can prove that detail too slow, but not fast enough.
         """
         state = self._states.get(viewer)
-        if state is None or self.rate is None:
+        if state is None:
             return
         state.spent.append((now, seconds))
         state.coarsest = coarsest
@@ -119,7 +124,7 @@ class AdaptiveQuality:
             return
         state.times.append(seconds)
         took = float(np.median(state.times))
-        own = took * self.rate
+        own = took * state.rate
         loads = {one: other.load(now) for one, other in self._states.items()}
         # share of the available time: each other viewer counts as this one, or less where its load is small
         excess = own + sum(min(own, _MAX_COST_RATIO * load) for one, load in loads.items() if one != viewer)

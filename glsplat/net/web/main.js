@@ -151,9 +151,10 @@ const steps = new Steps(() => stage.heads.others); // of the flat page
 const tabs = new Tabs(
   () => (connection.state === 'open' ? person() : ''),
   () => {
-    connection.stop();
-    gone = true;
-    tell();
+    gone = true; // the server ends the connection when the other tab has come
+    if (!connection.resume) connection.stop(); // nobody yet
+    const { matrix } = immersive.mode ? immersive.steps : steps;
+    return { resume: connection.resume, matrix, avatar: settings.chosen('avatar') ? settings.get('avatar') : '' };
   },
 );
 let gone = false; // another tab has taken over
@@ -397,6 +398,7 @@ function complain(text) {
 const capital = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 
 connection.addEventListener('state', () => {
+  if (gone && connection.state === 'waiting') connection.stop();
   tell();
   if (connection.problem === 'token') begin();
   if (connection.state === 'open') taken = '';
@@ -413,10 +415,20 @@ async function seekTab() {
   tell();
 }
 
+/** Take the place, the steps and the avatar of the person that another tab gave up. */
+function goOn({ resume, matrix, avatar }) {
+  connection.resume = resume;
+  const before = steps.matrix;
+  steps.reset(matrix);
+  orbit.goAlong([0, 1, 2].map((i) => matrix[12 + i] - before[12 + i]), Math.atan2(matrix[8], matrix[10]));
+  if (avatar) settings.set('avatar', avatar);
+}
+
 /** Continue as the person that another tab has, or try again. */
 async function again() {
-  if (gone || taken) await tabs.take(person());
+  const kept = gone || taken ? await tabs.take(person()) : null;
   gone = false;
+  if (kept) goOn(kept);
   if (connection.state === 'off') connection.restart();
   else connection.hurry();
 }
@@ -471,7 +483,7 @@ settings.addEventListener('change', ({ detail: { name } }) => {
     if (connection.state !== 'off') connection.restart();
   }
 });
-connection.awake = () => !document.hidden || immersive.mode !== ''; // a page in the background makes no attempt
+connection.awake = () => !gone && (!document.hidden || immersive.mode !== ''); // a page in the background makes no attempt
 document.addEventListener('visibilitychange', () => {
   if (!document.hidden) connection.hurry();
 });

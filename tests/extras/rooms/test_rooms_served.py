@@ -12,11 +12,12 @@ from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import BudgetError, ContextError, ContextLostError, GlsplatError, ProtocolError
 from glsplat.extras.rooms import person
 from glsplat.extras.rooms.person import FADE_S, SILENT_S
-from glsplat.net.backend import AvatarInfo, RenderJob, Solved
+from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.client import Client
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.server import Server, ServerConfig
+from glsplat.net.session import SessionConfig
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -268,3 +269,21 @@ def test_the_second_bad_picture_of_an_address_is_one_too_many() -> None:
     for i in range(10000):
         assert not blame.again(f"c{i}", 1001.0)
     assert len(blame._last) <= 4096
+
+
+@pytest.mark.parametrize(("seconds", "adapt", "reduced"), [(0.1, True, False), (0.3, True, True), (0.3, False, False)])
+async def test_members_get_six_pictures_a_second_at_less_detail(
+    serve: Serve, stopped: Stopped, seconds: float, adapt: bool, reduced: bool
+) -> None:
+    """Unless pictures are fixed."""
+
+    class Slow(FakeBackend):
+        def render(self, request: RenderJob) -> Rendered:
+            stopped.now += seconds
+            return super().render(request)
+
+    async with serve(Slow(), config(session=SessionConfig(adapt=adapt)), offered=OFFERS) as server:
+        async with member(server, "Ann") as ann:
+            infos = [(await ann.render(EYES, pose=POSE)).info for _ in range(12)]
+    assert ("detail" in infos[-1]) == reduced
+    assert "detail" not in infos[0]

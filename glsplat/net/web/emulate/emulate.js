@@ -8,7 +8,7 @@ const STILL = 4; // pixels that the pointer of a click moves at most
 const PACE = 150; // ms between two steps of a key that is held
 const WAYS = { w: [1, 0], s: [-1, 0], a: [0, -1], d: [0, 1] };
 const KEYS = [
-  ['Drag', 'look around'], ['W A S D', 'step'], ['H', 'raise or drop your hands'], ['Click', 'press the panel: beside the mirror, else at your left hand'],
+  ['Drag', 'look around'], ['W A S D', 'step'], ['H', 'raise or drop your hands'], ['T, held', 'pinch: an arc to the floor, to step there'], ['Click', 'press the panel: beside the mirror, else at your left hand'],
   ['V', 'one eye or both'], ['Esc', 'leave'],
 ];
 
@@ -35,10 +35,18 @@ export function emulate(canvas, user) {
     for (const [side, [[x, y, z], turn]] of Object.entries(HANDS[hands])) {
       const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
       device.hands[side].position.set(c * x + s * z, EYES + y, c * z - s * x);
-      device.hands[side].quaternion.set(...turned(yaw, turn));
+      device.hands[side].quaternion.set(...turned(yaw, hands === 'raised' ? [Math.sin(pitch / 2), 0, 0, Math.cos(pitch / 2)] : turn));
     }
   };
   move();
+  let hung = false; // before the pinch
+  const pinch = (value) => {
+    if (value) hung = hands === 'down';
+    if (hung) hands = value ? 'raised' : 'down';
+    move();
+    device.hands.right.updatePinchValue(value);
+  };
+  addEventListener('keyup', ({ key }) => device.activeSession && key.toLowerCase() === 't' && pinch(0));
   canvas.addEventListener('pointerdown', () => (dragged = 0));
   canvas.addEventListener('pointermove', (event) => {
     if (!device.activeSession) return;
@@ -62,6 +70,7 @@ export function emulate(canvas, user) {
         hands = hands === 'down' ? 'raised' : 'down';
         move();
       },
+      t: () => event.repeat || pinch(1),
       v: () => (device.stereoEnabled = !device.stereoEnabled),
       escape: () => user.end(),
     };

@@ -212,8 +212,9 @@ export class Painter {
     gl.bindVertexArray(null);
   }
 
-  /** {texture, transform (room from label, x right, y up), width, height in metres}. */
-  #drawLabel(clip, { texture, transform, width, height }) {
+  /** {texture, transform (room from label, x right, y up), width, height in metres}, or {strip, paint} in one colour. */
+  #drawLabel(clip, { texture, transform, width, height, strip, paint }) {
+    if (strip) return this.#drawFlat(clip, strip, paint);
     const gl = this.#gl;
     const u = scale(axis(transform, 0), width / 2);
     const v = scale(axis(transform, 1), height / 2);

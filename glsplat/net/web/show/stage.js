@@ -22,6 +22,7 @@ export class Stage {
   shownId = 0;
   onFrame = () => {}; // called with the views of each frame
   info = {}; // the JSON of the newest reply
+  #shown = {}; // that of the pair on the display
   canHide = false; // whether the avatar's head can be hidden
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
@@ -154,7 +155,7 @@ export class Stage {
   /** Return the names over the heads in the pair on the display, for an eye. */
   #named(eye) {
     const where = this.painter.shownAs?.where;
-    return where ? this.names.labels(headsOf(this.info.room, where), where, eye, this.painter) : [];
+    return where ? this.names.labels(headsOf(this.#shown.room, where), where, eye, this.painter) : [];
   }
 
   /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */
@@ -185,7 +186,7 @@ export class Stage {
     if (this.settings.get('place') === 'plain') return [];
     const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
-    const { box, feet, room } = this.painter.hasPair ? this.info : {};
+    const { box, feet, room } = this.painter.hasPair ? this.#shown : {};
     if (room) return fromPlaces(standing(room), shown);
     if (feet) return fromFeet(feet, shown);
     const trans = pose?.trans;
@@ -254,6 +255,7 @@ export class Stage {
     if (!newest) return false;
     const started = performance.now();
     this.painter.upload(newest);
+    this.#shown = newest.info;
     this.pictures.close(newest);
     this.figures.add('upload', performance.now() - started);
     this.shownId = newest.id;

@@ -4,6 +4,8 @@ import { IDENTITY } from '../space/matrix.js';
 
 const DENSEST = 2; // canvas pixels a CSS pixel
 const KEEP = 1000; // ms between requests while nothing moves
+const SURPLUS = 3; // requests for each picture: the server draws the newest, and each costs both sides
+const SLOWEST = 100; // ms between them while something moves, at most
 const APART = 8; // ms between two requests at least, where one does not wait for the next frame
 const RESTING = 1500; // ms between frames while others need the machine
 
@@ -73,7 +75,9 @@ export class Viewer {
     const key = drive.tracking || drive.pose ? '' : JSON.stringify([seen, lit]);
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
-    const asks = this.ready() && (moves || now - this.#asked > KEEP);
+    // the filters of tracking need every frame
+    const pause = !moves ? KEEP : drive.tracking ? 0 : Math.min(SLOWEST, 1000 / (SURPLUS * this.#stage.figures.rate('shown', now)));
+    const asks = this.ready() && now - this.#asked >= pause;
     const shown = this.#stage.shownId;
     if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, keeps: true, room: true, asks, now })) {
       [this.#last, this.#asked] = [key, now];

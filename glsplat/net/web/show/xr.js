@@ -3,6 +3,7 @@
 import { faces, tangentsOf } from '../space/frustum.js';
 import { apply, multiply, place, translation, unit } from '../space/matrix.js';
 import { VIEWS, heading, placing, standing } from '../space/placing.js';
+import { Arc } from '../track/arc.js';
 import { STRIDE, Steps, TURN } from '../track/steps.js';
 import { bodyOf, drivenBodyOf, sampleOf } from '../track/xr-sample.js';
 import { Estimate, FEATURE } from './estimate.js';
@@ -46,6 +47,7 @@ export class Immersive {
   #tools;
   #notice = new Notice();
   #estimate = new Estimate();
+  #arc = new Arc();
   #session = null;
   #space = null;
   #base = null; // the space before the floor was moved
@@ -92,7 +94,11 @@ export class Immersive {
     if (mode === 'ar') this.#estimate.start(session);
     this.#where = null;
     session.addEventListener('end', () => this.#ended(session));
-    session.addEventListener('select', (event) => this.#selected(event));
+    session.addEventListener('select', (event) => this.#arc.aims || this.#selected(event));
+    // a controller's trigger presses the panel, a hand has no squeeze
+    session.addEventListener('selectstart', (event) => event.inputSource.hand && this.#aimed(event));
+    session.addEventListener('squeezestart', (event) => this.#aimed(event));
+    for (const type of ['selectend', 'squeezeend']) session.addEventListener(type, ({ inputSource }) => inputSource === this.#arc.source && this.#landed());
     this.#stage.clear();
     this.#stage.connection.hurry(); // some browsers drop sockets on the way in
     session.requestAnimationFrame((now, frame) => this.#frame(now, frame));
@@ -195,7 +201,23 @@ export class Immersive {
     const at = place(this.#head);
     if (turns) this.steps.turn(at, turns * TURN);
     else this.steps.step(at, heading(this.#head), STRIDE * forth, STRIDE * right);
+    this.#offset();
+  }
+
+  #offset() {
     this.#space = this.#stood.getOffsetReferenceSpace(new XRRigidTransform(...this.steps.offset));
+  }
+
+  /** Begin an arc to the floor with a pinch or a squeeze that points at no panel. */
+  #aimed({ frame, inputSource, timeStamp }) {
+    const [ray] = pointers(frame, this.#space, [inputSource]);
+    if (ray && !this.panel.hit(ray.origin, ray.direction)) this.#arc.begin(inputSource, timeStamp);
+  }
+
+  /** Step to the end of the arc. */
+  #landed() {
+    const to = this.#arc.end();
+    if (to && this.steps.to(place(this.#head), to)) this.#offset();
   }
 
   /** A stick steps while it is pushed, to the sides with the right hand it turns. */
@@ -276,7 +298,9 @@ export class Immersive {
       .map(({ origin, direction }) => this.panel.hit(origin, direction))
       .filter(Boolean);
     this.panel.hovered = hits.length ? hits[0].index : -1;
-    const labels = [this.panel.label(this.#stage.painter)];
+    const [hand] = this.#arc.source ? pointers(frame, this.#space, [this.#arc.source]) : [];
+    if (hand) this.#arc.follow(hand, now, (point) => this.steps.free(place(head), point));
+    const labels = [this.panel.label(this.#stage.painter), ...this.#arc.marks(place(head))];
     if (this.#stage.link !== this.#link) {
       this.#link = this.#stage.link;
       if (this.#link) this.say(this.#link); // once: from then on it stands on the panel

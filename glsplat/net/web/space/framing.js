@@ -18,7 +18,8 @@ const COMPANY = 1.6; // metres to the plane on which a picture of a whole room i
 const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.1, 0.8]; // metres about where somebody stands
 const FIGURE = 0.42; // squared tangents of the frustum in which a mirror 1.2 m away shows a person whose arms hang
 const FINEST = 1.5; // pixels of a picture of a room a pixel of the display, along a side
-const MOST = 2; // sides of a square that a picture of a room has at most, of those that a person alone has
+const MOST = 2; // times the side of the setting that a picture has at most, of a room or of somebody close
+const CLOSE = [1.2, 1.4]; // metres from the eye of the flat page to whoever comes close, and to whoever is so no more
 
 export class Framing {
   seen = Infinity; // side of a square with as many pixels as the display has for what was framed last
@@ -28,6 +29,7 @@ export class Framing {
   #box = null; // as the server said it
   #boxHead = null; // where the head was then: [x, y, z], null where nothing was tracked
   #shape = 1;
+  #close = false; // whether somebody is
   #direction = null; // of the head in the last frame, for its speed
   #time = 0;
   #speed = 0; // radians a second, falling by half in 0.2 s
@@ -69,7 +71,8 @@ export class Framing {
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
-    const size = this.#size(whole, where.whole ? this.#roomSide(whole, side) : side);
+    const least = where.whole ? this.#roomSide(whole, side) : side;
+    const size = this.#size(whole, this.#isClose(views[0], where) ? Math.max(least, Math.min(this.seen, MOST * side, this.largest)) : least);
     const eyes = views.map(({ transform }, i) => ({
       viewmat: viewmat(serverEye(where, transform)).map(rounded),
       K: intrinsics(whole[i], size).map(rounded),
@@ -116,6 +119,15 @@ export class Framing {
     const areas = frusta.map(({ left, right, down, up }) => (right - left) * (up - down));
     const wanted = side * Math.sqrt(Math.max(...areas) / FIGURE);
     return Math.min(wanted, MOST * side, FINEST * this.seen, this.largest);
+  }
+
+  /** Whether the eye of the flat page is close to somebody: then a picture has the pixels of the display. */
+  #isClose({ transform }, { view, whole }) {
+    const [x, , z] = place(transform);
+    const [x0 = Infinity, , z0, x1, , z1] = this.#box ?? [];
+    const away = (whole ? this.#people.map(([px, , pz]) => [px, pz]) : [[(x0 + x1) / 2, (z0 + z1) / 2]]).map(([px, pz]) => Math.hypot(px - x, pz - z));
+    this.#close = view === 'viewer' && Math.min(...away) < CLOSE[this.#close ? 1 : 0];
+    return this.#close;
   }
 
   #turn(transform, now) {

@@ -24,6 +24,7 @@ export class Connection extends EventTarget {
   receivedId = 0;
   received = 0;
   opened = 0; // number of times that it opened
+  resume = ''; // token with which the next connection resumes as the same person in a room
   awake = () => true; // called before each attempt; while it returns false, only `hurry` connects
   #options;
   #token = null;
@@ -38,7 +39,6 @@ export class Connection extends EventTarget {
   #lost = false; // the video needs a key frame
   #undecoded = 0; // key frames that failed to decode, in a row
   #arrival = null; // {age, at} of the newest picture, ms, until it is reported
-  #resume = ''; // token with which the next connection resumes as the same person in a room
 
   /** `options()` gives the query of /ws at each attempt: {avatar, height, span, window}, those that are set. */
   constructor(options) {
@@ -141,7 +141,7 @@ export class Connection extends EventTarget {
     const url = this.address('ws');
     url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
     const asked = this.#options();
-    for (const [name, value] of Object.entries({ ...asked, resume: asked.room && this.#resume })) {
+    for (const [name, value] of Object.entries({ ...asked, resume: asked.room && this.resume })) {
       if (value !== null && value !== undefined && value !== '') url.searchParams.set(name, value);
     }
     const protocols = ['glsplat.v1', ...(this.#token ? [`token.${this.#token}`] : [])];
@@ -190,7 +190,7 @@ export class Connection extends EventTarget {
       if (key) this.#lost = false;
     }
     if (reply.info?.datagrams) this.#openDatagrams(reply.info.datagrams);
-    if (reply.info?.room?.resume) this.#resume = reply.info.room.resume;
+    if (reply.info?.room?.resume) this.resume = reply.info.room.resume;
     this.#failures = 0; // not on opening: a server may accept and drop at once
     if (reply.id <= this.#acknowledged || reply.id > this.sentId) return; // late, or never requested
     this.received++;

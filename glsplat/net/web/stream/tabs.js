@@ -1,6 +1,9 @@
 // Tabs of this browser with the same person in a room: one of them may take the person over from another.
 
-/** Answers other tabs that ask for the person of this one. `mine()`: "room/name" or '', `left()`: this tab gave it up. */
+/**
+ * Answers other tabs that ask for the person of this one. `mine()`: "room/name" or '', `left()`: this tab gives it up, and returns what the other one needs
+ * to continue.
+ */
 export class Tabs {
   #channel = typeof BroadcastChannel === 'undefined' ? null : new BroadcastChannel('glsplat');
   #mine;
@@ -17,24 +20,23 @@ export class Tabs {
     return this.#ask({ asks: who });
   }
 
-  /** Make another tab give a person up; promises whether one did. */
+  /** Make another tab give a person up; promises what its `left` returned, or null. */
   take(who) {
     return this.#ask({ takes: who });
   }
 
   #ask(message) {
     return new Promise((done) => {
-      this.#answered = () => done(true);
-      setTimeout(() => done(false), 500); // ms: tabs answer within a few, hidden ones too
+      this.#answered = done;
+      setTimeout(() => done(null), 500); // ms: tabs answer within a few, hidden ones too
       this.#channel?.postMessage(message);
     });
   }
 
-  #heard({ asks, takes, is }) {
-    if (is) this.#answered();
+  #heard({ asks, takes, is, kept }) {
+    if (is) this.#answered(kept);
     const mine = this.#mine();
     if (!mine || mine !== (asks ?? takes)) return;
-    if (takes) this.#left();
-    this.#channel.postMessage({ is: mine });
+    this.#channel.postMessage({ is: mine, kept: takes ? this.#left() : {} });
   }
 }

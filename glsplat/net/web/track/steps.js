@@ -20,19 +20,27 @@ export class Steps {
     return this.#matrix;
   }
 
-  reset() {
-    this.#matrix = IDENTITY;
+  reset(matrix = IDENTITY) {
+    this.#matrix = matrix;
   }
 
   /** Move by metres along `ahead` (level, unit) and to its right, unless somebody stands there. Returns whether it did. */
   step(head, ahead, forth, right) {
-    const by = [forth * ahead[0] - right * ahead[2], 0, forth * ahead[2] + right * ahead[0]];
-    const to = [head[0] + by[0], 0, head[2] + by[2]];
-    const free = this.others().every((other) => gap(other, to) > Math.min(APART, gap(other, head)));
-    const next = multiply(translation(by), this.#matrix);
-    if (!free || Math.hypot(next[12], next[14]) > FARTHEST) return false;
-    this.#matrix = next;
+    return this.to(head, [head[0] + forth * ahead[0] - right * ahead[2], 0, head[2] + forth * ahead[2] + right * ahead[0]]);
+  }
+
+  /** Move the head over the point `to`, unless somebody stands there. Returns whether it did. */
+  to(head, to) {
+    if (!this.free(head, to)) return false;
+    this.#matrix = multiply(translation([to[0] - head[0], 0, to[2] - head[2]]), this.#matrix);
     return true;
+  }
+
+  /** Return whether a head may move over the point `to`: not into somebody, nor far away. */
+  free(head, to) {
+    const { 12: x, 14: z } = this.#matrix;
+    const near = Math.hypot(x + to[0] - head[0], z + to[2] - head[2]) <= FARTHEST;
+    return near && this.others().every((other) => gap(other, to) > Math.min(APART, gap(other, head)));
   }
 
   /** Turn to the left by radians about the head. */
