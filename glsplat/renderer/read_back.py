@@ -168,8 +168,8 @@ class Transfer:
         assert self._buffer is not None
         with buffers.context.entered("Transfer.collect()"):
             buffers.bind(_PACK_BUFFER, self._buffer.glo)
+            address = buffers.map(_PACK_BUFFER, 0, count, _MAP_READ)
             try:
-                address = buffers.map(_PACK_BUFFER, 0, count, _MAP_READ)
                 found = np.ctypeslib.as_array((ctypes.c_uint8 * count).from_address(address)) if address else None
                 if found is None or found[self._filled :].tobytes() != self._number:
                     raise ContextLostError(f"{buffers.context.driver} does not respond")
@@ -177,7 +177,8 @@ class Transfer:
                     width, height = box[2:]
                     _place(found[start : start + 4 * width * height].reshape(height, width, 4), out, box)
             finally:
-                buffers.unmap(_PACK_BUFFER)
+                if address:
+                    buffers.unmap(_PACK_BUFFER)
                 buffers.bind(_PACK_BUFFER, 0)
 
     def drop(self) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at, pinhole, stereo_cameras
-from glsplat.data import default_avatar
 from glsplat.errors import ContextLostError
 from glsplat.renderer.read_back import PackBuffers
+from glsplat.splats import Splats
 
 SIZE = (120, 72)
 
@@ -18,6 +18,14 @@ def buffers(gl):
     made = PackBuffers(gl)
     yield made
     made.release()
+
+
+def figure() -> Splats:
+    """Return a cloud of about a person's size."""
+    rng = np.random.default_rng(2)
+    means = rng.normal(size=(300, 3)) * (0.12, 0.3, 0.12) + (0, 1, 0)
+    arrays = means, rng.normal(size=(300, 4)), np.full((300, 3), 0.05), np.full(300, 0.8), rng.normal(size=(300, 1, 3))
+    return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
 
 
 def eyes(distance: float = 2.2, turn: float = 0.0) -> list[Camera]:
@@ -43,7 +51,7 @@ VIEWS = {
 
 def test_a_transfer_brings_the_bytes_of_a_picture(renderer_of, buffers):
     """Two at once, of which the second is drawn before the first is collected."""
-    renderer = renderer_of(default_avatar(), SIZE, views=2, output="uint8")
+    renderer = renderer_of(figure(), SIZE, views=2, output="uint8")
     expected = {name: renderer.render(views) for name, views in VIEWS.items()}
     before = None
     for name, views in [*VIEWS.items(), *VIEWS.items()]:
@@ -66,7 +74,7 @@ def _check(transfer, name, images, expected) -> None:
 
 
 def test_a_dropped_picture_releases_its_buffer(renderer_of, buffers):
-    renderer = renderer_of(default_avatar(), SIZE, views=2, output="uint8")
+    renderer = renderer_of(figure(), SIZE, views=2, output="uint8")
     for _ in range(5):
         transfer = buffers.transfer()
         renderer.prepare(eyes()).render(transfer=transfer)
@@ -76,7 +84,7 @@ def test_a_dropped_picture_releases_its_buffer(renderer_of, buffers):
 
 
 def test_a_larger_picture_gets_a_larger_buffer(renderer_of, buffers):
-    renderer = renderer_of(default_avatar(), SIZE, views=2, output="uint8")
+    renderer = renderer_of(figure(), SIZE, views=2, output="uint8")
     for side in (64, 200, 64):
         renderer.resize(side, side)
         views = stereo_cameras(np.linalg.inv(eyes()[0].viewmat) * [[1, -1, -1, 1]], size=(side, side))
@@ -88,7 +96,7 @@ def test_a_larger_picture_gets_a_larger_buffer(renderer_of, buffers):
 
 @pytest.mark.parametrize("fault", ["old pixels", "no memory"])
 def test_a_lost_context_shows_no_older_picture(renderer_of, buffers, monkeypatch, fault):
-    renderer = renderer_of(default_avatar(), SIZE, views=2, output="uint8")
+    renderer = renderer_of(figure(), SIZE, views=2, output="uint8")
     first = buffers.transfer()
     renderer.prepare(eyes()).render(transfer=first)
     _check(first, "", images := renderer.render(eyes()), {"": images})
@@ -106,7 +114,7 @@ def test_a_lost_context_shows_no_older_picture(renderer_of, buffers, monkeypatch
 
 
 def test_released_buffers_are_not_used_again(renderer_of, gl):
-    renderer = renderer_of(default_avatar(), SIZE, views=2, output="uint8")
+    renderer = renderer_of(figure(), SIZE, views=2, output="uint8")
     buffers = PackBuffers(gl)
     transfer = buffers.transfer()
     renderer.prepare(eyes()).render(transfer=transfer)

@@ -191,6 +191,31 @@ async def test_replies_keep_their_order_while_pictures_overlap(serve, cameras, m
         await until(lambda: not loop._turning and not loop.clients)
 
 
+class Overtaking(ThreadWorker):
+    """Returns each first picture of two after the second."""
+
+    def __init__(self, backend) -> None:
+        super().__init__(backend)
+        self.second = asyncio.Event()
+
+    async def draw(self, job, pixels=False, submitted=lambda: None):
+        rendered = await super().draw(job, pixels)
+        submitted()
+        if job.frame_id % 2:
+            await self.second.wait()
+        (self.second.clear if job.frame_id % 2 else self.second.set)()
+        return rendered
+
+
+async def test_a_picture_that_is_ready_first_waits_for_the_one_before(serve, fake_backend, cameras):
+    async with serve(Overtaking(fake_backend())) as server, Client(server.url, window=2, timeout=HANG) as client:
+        for first in (1, 3, 5):
+            assert await client.send(cameras) == first
+            await until(lambda: server.drawer._turning)
+            await client.send(cameras)
+            assert [(await client.receive()).reply.frame_id for _ in range(2)] == [first, first + 1]
+
+
 async def stream(url: str, cameras) -> tuple[list[int], list[str]]:
     """Send FRAMES requests; return the frame_ids of the replies, and the errors."""
     got, errors = [0], []
