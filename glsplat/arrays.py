@@ -176,6 +176,8 @@ def shares(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError,
 
 def colour(value: ArrayLike, what: str, error: type[GlsplatError] = FormatError) -> tuple[float, float, float]:
     """Return red, green and blue from 0 to 1 as floats."""
+    if isinstance(value, tuple) and len(value) == 3 and all(type(v) is float and -1 <= v <= 2 for v in value):
+        return value  # as nearly always: checked without an array
     array = shares(value, what, error)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise error(f"{what} is three finite numbers, not {value!r:.60}")

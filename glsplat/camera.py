@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from functools import lru_cache
+from math import inf, isfinite
 from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 import pyrr
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import Value, bits, colour, count, number, own, pixels, plain
+from glsplat.arrays import Value, bits, colour, count, frozen, number, own, pixels, plain
 from glsplat.errors import FormatError
 from glsplat.rotations import FLIP_YZ
 
@@ -192,14 +193,21 @@ def _apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
 def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64]:
     """Return T_W_H [4, 4] of a position (3,) and a quaternion xyzw (4,) of any non-zero length (OpenXR axes)."""
     quat = plain(quat_xyzw, "a quaternion").astype(np.float64)
-    norm = np.linalg.norm(quat)
-    if quat.shape != (4,) or not (np.isfinite(quat).all() and norm > 1e-9):
+    norm = float(np.linalg.norm(quat))
+    if quat.shape != (4,) or not 1e-9 < norm < inf:
         raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()!r:.60}")
-    matrix = np.eye(4)
-    # unlike pyrr's 4x4 matrices, this has column vectors; __wrapped__ skips a decorator that inspects source per call
-    matrix[:3, :3] = pyrr.matrix33.create_from_quaternion.__wrapped__(quat / norm)
-    matrix[:3, 3] = _vector(position, "a head's position", 3)
-    return matrix
+    px, py, pz = _vector(position, "a head's position", 3).tolist()
+    x, y, z, w = (value / norm for value in quat.tolist())  # plain floats: a matrix is made for every request
+    xx, yy, zz, ww = x**2, y**2, z**2, w**2
+    scale = 1 / (xx + yy + zz + ww)
+    return np.array(
+        [
+            [(xx - yy - zz + ww) * scale, 2 * (x * y - z * w) * scale, 2 * (x * z + y * w) * scale, px],
+            [2 * (x * y + z * w) * scale, (-xx + yy - zz + ww) * scale, 2 * (y * z - x * w) * scale, py],
+            [2 * (x * z - y * w) * scale, 2 * (y * z + x * w) * scale, (-xx - yy + zz + ww) * scale, pz],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
 
 
 def stereo_cameras(
@@ -224,22 +232,33 @@ def stereo_cameras(
     if head.shape != (4, 4):
         raise FormatError(f"a head pose is a 4x4 matrix, not {head.shape}")
     width, height = pixels(size)
-    ks = pinhole(width, height, fov) if K is None else own(K, np.float64, "K")  # type: ignore[arg-type]
+    if K is None:
+        ks = _pinhole(width, height, number(fov, "the field of view"))
+    else:
+        ks = own(K, np.float64, "K")  # type: ignore[arg-type]
     if ks.shape not in ((3, 3), (2, 3, 3)):
         raise FormatError(f"K needs shape (3, 3), or (2, 3, 3) for one a side, not {ks.shape}")
-    ks, half = np.broadcast_to(ks, (2, 3, 3)), 0.5 * number(ipd, "ipd")
+    half = 0.5 * number(ipd, "ipd")
     if not 0 <= 2 * half <= _MAX_IPD_M:
         raise FormatError(f"ipd needs metres from 0 to {_MAX_IPD_M:g}, not {2 * half:g}; 63 mm are 0.063")
-    eyes = []
-    for index, (name, sign) in enumerate((("left", -1.0), ("right", 1.0))):
-        world_from_eye = head.copy()
-        world_from_eye[:3, 3] += head[:3, 0] * (sign * half)
-        try:
-            viewmat = FLIP_YZ @ np.linalg.inv(world_from_eye)
-        except np.linalg.LinAlgError:
-            raise FormatError("a head pose needs a rotation and a place; this matrix has no inverse") from None
-        eyes.append(Camera(viewmat, ks[index], width, height, background=background, name=name))
-    return eyes[0], eyes[1]
+    world_from_eyes = np.stack([head, head])
+    world_from_eyes[0, :3, 3] -= head[:3, 0] * half
+    world_from_eyes[1, :3, 3] += head[:3, 0] * half
+    try:
+        left, right = FLIP_YZ @ np.linalg.inv(world_from_eyes)
+    except np.linalg.LinAlgError:
+        raise FormatError("a head pose needs a rotation and a place; this matrix has no inverse") from None
+    left_k, right_k = (ks, ks) if ks.ndim == 2 else ks
+    return (
+        Camera(left, left_k, width, height, background=background, name="left"),
+        Camera(right, right_k, width, height, background=background, name="right"),
+    )
+
+
+@lru_cache(maxsize=16)
+def _pinhole(width: int, height: int, fov: float) -> NDArray[np.float64]:
+    """Return ``pinhole()``, shared and read-only: the eyes of a stream have the same."""
+    return frozen(pinhole(width, height, fov))
 
 
 def sorting_camera(cameras: Sequence[Camera]) -> NDArray[np.float64]:

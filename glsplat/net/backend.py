@@ -26,15 +26,19 @@ if TYPE_CHECKING:
     from glsplat.renderer.resolve import ResolveStep
 
 __all__ = [
+    "POLL_S",
     "AvatarInfo",
     "Backend",
     "Interruptible",
     "MemoryTarget",
+    "Overlapping",
     "PoseSolver",
     "RenderJob",
     "Rendered",
     "Solved",
+    "Submitted",
     "WebFile",
+    "begin",
 ]
 
 
@@ -98,12 +102,28 @@ class Backend(Protocol):
         """Release everything; also called after an ``open`` that failed."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Submitted:
+    """A picture that the GPU still draws. Both functions are called on the backend's thread."""
+
+    ready: Callable[[float], bool]  # waits up to so many seconds; whether ``collect`` returns without a wait
+    collect: Callable[[], Rendered]  # called once; raises the errors of ``Backend.render``
+
+
+@runtime_checkable
+class Overlapping(Protocol):
+    """A backend that can begin a picture while the GPU still draws the one before."""
+
+    def submit(self, job: RenderJob) -> Rendered | Submitted:
+        """Draw a picture as ``Backend.render`` does, without waiting for the GPU. Collect all pictures in order."""
+
+
 @runtime_checkable
 class Interruptible(Protocol):
     """A backend that can abandon a picture."""
 
     abandoned: Callable[[], bool]
-    """Set by the worker; returns True once the picture is not needed, and ``render`` may raise BudgetError."""
+    """Set by the worker for each picture; returns True once it is not needed, and drawing may raise BudgetError."""
 
 
 @runtime_checkable
@@ -112,6 +132,17 @@ class MemoryTarget(Protocol):
 
     out: NDArray[np.uint8] | None
     """Set before ``render``: uninitialised, contiguous memory for its images [V, H, W, 4]; None: its own memory."""
+
+
+POLL_S = 5e-4
+"""Seconds of a wait for the GPU, after which a worker looks for another order."""
+
+
+def begin(backend: Backend, job: RenderJob, abandoned: Callable[[], bool]) -> Rendered | Submitted:
+    """Begin a picture, or draw it where the backend cannot overlap pictures; ``abandoned`` is that of Interruptible."""
+    if isinstance(backend, Interruptible):
+        backend.abandoned = abandoned
+    return backend.submit(job) if isinstance(backend, Overlapping) else backend.render(job)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

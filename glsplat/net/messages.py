@@ -71,6 +71,7 @@ PARTS = ("head",)
 
 _MAX_CLIENT_ROTATION_ERROR = 1e-3  # largest entry of R R^T - I; float32 clients stay below 1e-6
 _MAX_ROTATION_ERROR = ORTHONORMAL / 2  # above it the nearest rotation replaces R: transforms in rooms add rounding
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # rows of a rotation
 MAX_ARRIVAL_MS = 60_000.0  # largest time in an ``arrival``
 _MIN_NEAR_M = 1e-6  # metres
 
@@ -264,16 +265,20 @@ class Decoder:
     def _eye(self, eye: Eye, size: tuple[int, int]) -> Camera:
         if len(eye.viewmat) != 16 or len(eye.K) != 4:
             raise ProtocolError(f"an eye needs 16 numbers in viewmat and 4 in K, not {len(eye.viewmat)}, {len(eye.K)}")
-        viewmat = np.array(eye.viewmat).reshape(4, 4)
         fx, fy, cx, cy = eye.K
         if not (max(abs(v) for v in eye.K) < 1e6 and min(fx, fy) > 1e-3):
             raise ProtocolError("K needs [fx, fy, cx, cy] in pixels below 1e6, fx and fy above 0.001", "bad_camera")
-        rotation = viewmat[:3, :3]
-        with np.errstate(all="ignore"):  # 1e300 is finite, its square is not
-            off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if not off <= _MAX_CLIENT_ROTATION_ERROR:
-            raise ProtocolError("viewmat needs an orthonormal rotation (world to camera, row by row)", "bad_camera")
-        if np.linalg.det(rotation) < 0:
+        # plain floats: made for every request
+        a, b, c = rows = eye.viewmat[0:3], eye.viewmat[4:7], eye.viewmat[8:11]
+        off = 0.0
+        for i, j in _PAIRS:
+            one, other = rows[i], rows[j]
+            error = abs(one[0] * other[0] + one[1] * other[1] + one[2] * other[2] - (i == j))
+            if not error <= _MAX_CLIENT_ROTATION_ERROR:  # also NaN: 1e300 is finite, its square is not
+                raise ProtocolError("viewmat needs an orthonormal rotation (world to camera, row by row)", "bad_camera")
+            off = max(off, error)
+        x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
+        if a[0] * x + a[1] * y + a[2] * z < 0:  # the determinant
             raise ProtocolError('viewmat is a reflection; for a mirror picture send "mirror": true', "bad_camera")
         if not _MIN_NEAR_M <= eye.near < eye.far <= DEFAULT_FAR_M:
             raise ProtocolError(
@@ -281,7 +286,9 @@ class Decoder:
             )
         if not 0 <= eye.sh_degree <= DEFAULT_SH_DEGREE:
             raise ProtocolError(f"sh_degree needs a whole number from 0 to {DEFAULT_SH_DEGREE}", "bad_camera")
+        viewmat = np.array(eye.viewmat).reshape(4, 4)
         if off > _MAX_ROTATION_ERROR:  # keep the camera's position
+            rotation = viewmat[:3, :3]
             exact = np.eye(4)
             exact[:3, :3] = nearest_rotations(rotation[None])[0]
             exact[:3, 3] = exact[:3, :3] @ np.linalg.solve(rotation, viewmat[:3, 3])

@@ -1,8 +1,9 @@
 """RenderLoop: takes the clients' requests in fair turns; one worker draws them, one after the other.
 
-It runs on the event loop. Each client gets its pictures in order, with at most its window of them under way. A lost
-worker is restarted, and its picture drawn again by another worker, if there is one. A picture that fails with other
-people of a room in it is drawn again without them.
+It runs on the event loop. Each client gets its pictures in order, with at most its window of them under way. While a
+GPU draws a picture, the worker begins the next one: at most two turns overlap. A lost worker is restarted, and its
+picture drawn again by another worker, if there is one. A picture that fails with other people of a room in it is drawn
+again without them.
 """
 
 from __future__ import annotations
@@ -95,8 +96,12 @@ class RenderLoop:
         self._faults = FaultTracker() if owner is None else owner.faults
         self._owner = owner
         self._adaptive_quality = AdaptiveQuality(rate)
-        self._drawing: ClientStream | None = None
+        self._turning: dict[asyncio.Task[None], ClientStream] = {}  # at most two turns, the oldest first
+        self._ordered: Taken | None = None  # the picture that was ordered last, until it is drawn
         self._drawing_since: float | None = None
+        self._finished = 0.0  # when the last picture was
+        self._next = asyncio.Event()  # the worker takes another order
+        self._broken: Exception | None = None  # ends the loop
         self._gone = False  # the worker has to be restarted
         self._stopping = False
         self._turns: FairQueue[ClientStream] = FairQueue()
@@ -107,7 +112,7 @@ class RenderLoop:
 
     @property
     def drawing_for(self) -> float:
-        """Seconds that the present picture has taken so far; 0: none is drawn."""
+        """Seconds that the oldest picture has taken so far, not counting the one before; 0: none is drawn."""
         return 0.0 if self._drawing_since is None else self.clock() - self._drawing_since
 
     @property
@@ -153,8 +158,9 @@ class RenderLoop:
         if self._task is None:
             return
         self._stopping = True
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
+        for task in (self._task, *self._turning):
+            task.cancel()
+        await asyncio.gather(self._task, *self._turning, return_exceptions=True)
         self._task = None
         await self._close()
 
@@ -186,13 +192,13 @@ class RenderLoop:
         self._leaving.pop(client.number, None)
         if client.solving is not None:
             client.solving.clear()
-        if self._drawing is client:
+        if self._ordered is not None and self._ordered.client is client:
             self.worker.cancel()
 
     def release(self, client: ClientStream, then: Callable[[], None]) -> None:
-        """Stop drawing for a client after its present picture; then call ``then``."""
+        """Stop drawing for a client after its present pictures; then call ``then``."""
         self.clients.pop(client.number, None)
-        if self._drawing is client:
+        if client in self._turning.values():
             self._leaving[client.number] = then
         else:
             self._turns.remove(client.address, client)
@@ -264,6 +270,11 @@ class RenderLoop:
 
     async def _run(self) -> None:
         while True:
+            if self._broken is not None:
+                raise self._broken
+            if len(self._turning) > 1 or (self._turning and self._gone):
+                await asyncio.wait(self._turning, return_when=asyncio.FIRST_COMPLETED)
+                continue
             if self._gone:
                 await self._revive()
             start = self.clock()
@@ -276,19 +287,46 @@ class RenderLoop:
                     async with asyncio.timeout(min(rests, default=None)):
                         await self._wake.wait()
                 continue
-            self._drawing, self._drawing_since = client, start
-            try:
-                await self._answer_next(client)
-            finally:
-                self._drawing = self._drawing_since = None
-            now = self.clock()
-            own = None if client.member is None else client.member.fair_cost(now - start)
-            self._turns.charge(client.address, client, now - start, now, own)
-            if (then := self._leaving.pop(client.number, None)) is not None:
-                self._turns.remove(client.address, client)
-                then()
+            redraw = client.take_redraw()
+            taken = self._take(client) if redraw is None else redraw[0]
+            turn = self._turn(taken, None if redraw is None else redraw[1], start, next(reversed(self._turning), None))
+            if not self._turning:
+                self._drawing_since = start
+            self._next.clear()
+            self._turning[asyncio.create_task(turn, name="turn")] = client
+            await self._next.wait()
             if self.should_yield() and is_software(self.driver):
-                await asyncio.sleep(min(_MAX_YIELD_S, _YIELD_FACTOR * (now - start)))
+                await asyncio.sleep(min(_MAX_YIELD_S, _YIELD_FACTOR * (self.clock() - start)))
+
+    async def _turn(
+        self, taken: Taken, redraw: asyncio.Future[Answer] | None, start: float, before: asyncio.Task[None] | None
+    ) -> None:
+        """Answer a request, to ``redraw`` if there is one, after the turn ``before``; charge the client."""
+        client = taken.client
+        try:
+            answer = await self._answer(taken)
+            if before is not None:
+                await asyncio.wait([before])
+            if redraw is None:
+                if (client.address, client) in self._turns:
+                    client.answers.put_nowait(answer)
+            elif not redraw.done():
+                redraw.set_result(answer)
+            now = self.clock()
+            seconds = now - max(start, self._finished)
+            own = None if client.member is None else client.member.fair_cost(seconds)
+            self._turns.charge(client.address, client, seconds, now, own)
+        except Exception as error:
+            self._broken = error
+        finally:
+            self._finished = self.clock()
+            self._turning.pop(asyncio.current_task())  # type: ignore[arg-type]
+            self._drawing_since = self._finished if self._turning else None
+            self._next.set()
+            self._wake.set()
+        if client not in self._turning.values() and (then := self._leaving.pop(client.number, None)) is not None:
+            self._turns.remove(client.address, client)
+            then()
 
     def _ready(self, now: float, rests: list[float], client: ClientStream) -> bool:
         """Return whether a client's picture can be drawn, and its link and the encoder have room for it."""
@@ -306,16 +344,6 @@ class RenderLoop:
         """Check again whether a picture can be drawn. From any thread."""
         with suppress(RuntimeError):  # the server has stopped
             self._loop.call_soon_threadsafe(self._wake.set)
-
-    async def _answer_next(self, client: ClientStream) -> None:
-        redraw = client.take_redraw()
-        taken = self._take(client) if redraw is None else redraw[0]
-        answer = await self._answer(taken)
-        if redraw is None:
-            if (client.address, client) in self._turns:
-                client.answers.put_nowait(answer)
-        elif not redraw[1].done():
-            redraw[1].set_result(answer)
 
     def _take(self, client: ClientStream) -> Taken:
         now = self.clock()
@@ -379,8 +407,15 @@ class RenderLoop:
         if (client.address, client) not in self._turns:
             raise BudgetError("the picture is no longer wanted", "abandoned")
         video = client.video if job.options.video is not None else None
-        rendered = await self.worker.draw(job, pixels=video is not None or bool(client.observers))
+        self._ordered = taken
+        try:
+            pixels = video is not None or bool(client.observers)
+            rendered = await self.worker.draw(job, pixels, submitted=self._next.set)
+        finally:
+            if self._ordered is taken:
+                self._ordered = None
         now = self.clock()
+        took = now - max(start, self._finished)
         encoded = rendered.encoded
         if encoded is None:
             if len(rendered.images) == len(taken.request.eyes):
@@ -390,8 +425,8 @@ class RenderLoop:
                     encoded.add_done_callback(partial(self._charge_coding, client))
             elif rendered.done is not None:
                 rendered.done()
-        self._adaptive_quality.drawn(client.number, now - start, rendered.coarsest, now, taken.smaller)
-        client.picture_took(now - start)
+        self._adaptive_quality.drawn(client.number, took, rendered.coarsest, now, taken.smaller)
+        client.picture_took(took)
         if encoded is None or len(rendered.images) != len(taken.request.eyes):
             raise RuntimeError(f"{len(taken.request.eyes)} pictures were requested, {len(rendered.images)} drawn")
         if client.member is not None:

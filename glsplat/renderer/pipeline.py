@@ -24,7 +24,7 @@ from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
 from glsplat.renderer.mesh_pass import MeshPass
 from glsplat.renderer.owned import owned
 from glsplat.renderer.project import ProjectPass
-from glsplat.renderer.read_back import read_bytes, read_floats
+from glsplat.renderer.read_back import Transfer, read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
 from glsplat.renderer.sort import FIRST_CULLED, count_culled, covered_box, sorted_indices
 from glsplat.renderer.stats import Box, FrameStats, union
@@ -213,6 +213,7 @@ class Pipeline:
         views: Sequence[Camera],
         out: NDArray[Any],  # [V, H, W, 4] uint8 if there is a byte target, else float32
         timer: StageTimer,
+        transfer: Transfer | None = None,  # takes a picture of 8 bits to ``out`` later
     ) -> None:
         """Do step 6: copy the picture to ``out`` on the host."""
         if byte_target is None:
@@ -220,6 +221,8 @@ class Pipeline:
             if self.variant.cull_hidden:
                 for picture, view in zip(out, views, strict=True):
                     picture[:] = lifted(picture, view.background)
+        elif transfer is not None:
+            transfer.read(byte_target, out, self.covered)
         else:
             read_bytes(byte_target, out, self.covered)
         if self._sorter and not self._counted:

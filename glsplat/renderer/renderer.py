@@ -24,7 +24,7 @@ from glsplat.renderer.draw import Slices
 from glsplat.renderer.gpu_scene import GpuScene
 from glsplat.renderer.levels import Selector
 from glsplat.renderer.pipeline import Pipeline
-from glsplat.renderer.read_back import read_depth
+from glsplat.renderer.read_back import Transfer, read_depth
 from glsplat.renderer.resolve import ResolveStep, StepTextures, checked_step
 from glsplat.renderer.stats import FrameStats
 from glsplat.renderer.targets import FORMATS, Target, TargetPool
@@ -288,7 +288,12 @@ class Renderer:
         return placed
 
     def _pictures(
-        self, cameras: Sequence[Camera], out: Images | None, depth: bool = False, slices: Slices | None = None
+        self,
+        cameras: Sequence[Camera],
+        out: Images | None,
+        depth: bool = False,
+        slices: Slices | None = None,
+        transfer: Transfer | None = None,
     ) -> tuple[Images, Depths]:
         """Draw, resolve and read back (docs/frame.md), once the scene is up to date."""
         boxed, size, timer = self.config.output == "uint8", self.size, self.timer
@@ -296,14 +301,18 @@ class Renderer:
         depths = np.empty(out.shape[:3] if depth else 0, np.float32)
         step = checked_step(self.step, boxed)
         texture = None if step is None else self._textures.of(step)
+        if transfer is not None:
+            transfer.begin(out.nbytes)
         for layers, batch, pipeline, target in self._drawn(cameras, depth, boxed, slices):
             byte_target = self._targets.byte_target(size, len(batch)) if boxed else None
             if byte_target is not None:
                 pipeline.resolve(target, byte_target, batch, timer, step, texture)  # 5
-            pipeline.read(target, byte_target, batch, out[layers], timer)  # 6
+            pipeline.read(target, byte_target, batch, out[layers], timer, transfer)  # 6
             if depth:
                 depths[layers] = read_depth(target) * np.float32(self._scene.size)
                 timer.mark("read")
+        if transfer is not None:
+            transfer.end()
         timer.stop()
         return out, depths
 
@@ -372,10 +381,11 @@ class Prepared:
         between: Callable[[], None]
         | None = None,  # called between two slices; an exception that it raises ends the picture
         slice_cost: float = math.inf,  # covered pixels of a pass; a costlier pass is drawn in slices of about that
+        transfer: Transfer | None = None,  # 8-bit images are valid once it is collected, also after further calls
     ) -> NDArray[Pixel]:
         """Return the images of ``Renderer.render()``, the same bytes whatever the slices."""
         renderer = self._renderer
         if renderer._prepared is not self:
             raise GlsplatError("the renderer did something else since prepare(), or drew this already; prepare() again")
         with renderer._entered("render"):
-            return renderer._pictures(self._cameras, out, slices=Slices(between, slice_cost))[0]
+            return renderer._pictures(self._cameras, out, False, Slices(between, slice_cost), transfer)[0]

@@ -13,6 +13,7 @@ from glsplat.errors import BudgetError
 if TYPE_CHECKING:
     from glsplat.renderer import Prepared
     from glsplat.renderer.checks import Images
+    from glsplat.renderer.read_back import Transfer
 
 __all__ = ["PictureBudget", "others_share"]
 
@@ -48,7 +49,7 @@ class PictureBudget:
         self._abandoned, self._clock = abandoned, clock
         self._start = clock()
 
-    def render(self, prepared: Prepared, out: Images | None = None) -> Images:
+    def render(self, prepared: Prepared, out: Images | None = None, transfer: Transfer | None = None) -> Images:
         """Render within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
         if prepared.cost > self._max_cost:
             raise BudgetError(
@@ -56,7 +57,7 @@ class PictureBudget:
                 " ask for a smaller size or look from further away",
                 "too_costly",
             )
-        return prepared.render(between=self.check, slice_cost=self._slice_cost, out=out)
+        return prepared.render(between=self.check, slice_cost=self._slice_cost, out=out, transfer=transfer)
 
     def check(self) -> None:
         """Raise BudgetError (abandoned, too_slow) unless the picture is to be continued."""

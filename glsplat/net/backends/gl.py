@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
-from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.backend import Rendered, RenderJob, Submitted
 from glsplat.net.backends.budget import PictureBudget
 from glsplat.renderer.stats import union
 from glsplat.scene import Rigged, SceneLike
@@ -72,6 +72,7 @@ class RendererBackend:
         from glsplat.gl.context import create_context  # loaded late: the module can be imported without a driver
         from glsplat.net.backends.renderer_pool import RendererPool
         from glsplat.renderer import Renderer
+        from glsplat.renderer.read_back import PackBuffers
 
         self._context = create_context(self._device)
         self._mark = 0
@@ -80,6 +81,8 @@ class RendererBackend:
             make = partial(Renderer, size=self._pixels, views=2, config=self._config, context=self._context)
             self._pool = RendererPool(self._scene, self._avatars, make, self._rooms)
             renderer = self._pool.get().renderer
+            # a software rasterizer reads back by copying on the same processor: a buffer would be one more copy
+            self._buffers = None if self._context.software else PackBuffers(self._context)
             view = Camera(look_at((0, 1.2, 2.0), (0, 1, 0)), pinhole(*self._pixels), *self._pixels)
             renderer.prepare([view, view]).render()
             start = time.perf_counter()
@@ -98,6 +101,11 @@ class RendererBackend:
 
         Raises FormatError for an avatar that does not exist or cannot be read.
         """
+        drawn = self.submit(request)
+        return drawn if isinstance(drawn, Rendered) else drawn.collect()
+
+    def submit(self, request: RenderJob) -> Rendered | Submitted:
+        """Draw as ``render`` does; a GPU may still draw afterwards. Raises the same errors."""
         if self._name is not None and request.avatar not in ("", self._name) and request.avatar not in self._avatars:
             raise FormatError(f'there is no avatar "{request.avatar}" on this machine')
         first = request.cameras[0]
@@ -108,12 +116,13 @@ class RendererBackend:
             raise
         renderer = one.renderer
         budget = PictureBudget(self._max_cost, self._max_time, self._slice_cost, self.abandoned)
+        transfer = None if self._buffers is None else self._buffers.transfer()
         try:
             renderer.resize(first.width, first.height)
             one.follow(request, time.monotonic() - self._opened)
             renderer.selector, renderer.step = one.selector(request.viewer), request.mark
             renderer.selector.bias = request.detail
-            images = budget.render(one.prepare(request, self._max_cost), self.out)
+            images = budget.render(one.prepare(request, self._max_cost), self.out, transfer)
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
@@ -124,25 +133,41 @@ class RendererBackend:
                 timings["depth"] = (time.perf_counter() - start) * 1e3
             if self._context.ctx.error != "GL_NO_ERROR":  # reading it clears it
                 raise GlsplatError(f"{renderer.driver} reports an OpenGL error: the picture may be wrong")
-        except (PoseError, BudgetError):  # nothing was drawn, or the next picture overwrites it
-            raise
-        except Exception:
+            places = one.places(request)
+        except Exception as error:
+            if transfer is not None:
+                transfer.drop()
+            if isinstance(error, PoseError | BudgetError):  # nothing was drawn, or the next picture overwrites it
+                raise
             self._check_alive()
             renderer.load(one.scene)  # discard partly updated buffers
             renderer.drop_targets()
             raise
-        self._check_alive()
-        written = self._pool.write(request, images)
-        return Rendered(
-            images,
-            timings,
-            covered=union(stats.covered, written),
-            levels=stats.levels,
-            coarsest=stats.coarsest,
-            posed=stats.posed,
-            places=one.places(request),
-            depth=depth,
-        )
+
+        def collect() -> Rendered:
+            if transfer is None:
+                self._check_alive()
+            else:
+                start = time.perf_counter()
+                try:
+                    budget.check()
+                    transfer.collect()
+                finally:
+                    transfer.drop()
+                timings["read"] += (time.perf_counter() - start) * 1e3
+            written = self._pool.write(request, images)
+            return Rendered(
+                images,
+                timings,
+                covered=union(stats.covered, written),
+                levels=stats.levels,
+                coarsest=stats.coarsest,
+                posed=stats.posed,
+                places=places,
+                depth=depth,
+            )
+
+        return collect() if transfer is None or transfer.ready(0.0) else Submitted(transfer.ready, collect)
 
     def _check_alive(self) -> None:
         """Write a number through the context and read it back.
@@ -160,6 +185,8 @@ class RendererBackend:
     def close(self) -> None:
         """Release the renderer and its context."""
         if hasattr(self, "_context"):
+            if self._buffers is not None:
+                self._buffers.release()
             self._pool.release()
             self._context.release()
             del self._context

@@ -69,7 +69,8 @@ class WorkerConnection(asyncio.Protocol):
         self._number = 0
         self._drawing: dict[int, asyncio.Future[RenderResult]] = {}
         self._encoding: dict[int, asyncio.Future[Any]] = {}
-        self._since = 0.0  # when the present picture was ordered
+        self._submitted: Callable[[], None]
+        self._since = 0.0  # when the newest picture was ordered
         self._patient = False  # its avatar has to be loaded first
         self._begun = False  # the worker has received the order
         self._pinged: float | None = None  # when the unanswered ping was sent
@@ -89,12 +90,12 @@ class WorkerConnection(asyncio.Protocol):
         return bool(self._drawing)
 
     def draw(
-        self, order: Order, patient: bool = False
+        self, order: Order, patient: bool = False, submitted: Callable[[], None] = lambda: None
     ) -> tuple[asyncio.Future[RenderResult], asyncio.Future[Any] | None]:
         """Order a picture; return its result, and its JPEGs (Encoded) or pixels (bytes), None with a slot.
 
-        Both futures may raise a renderer's errors and WorkerLostError. Order the next picture after the first future is
-        done. ``patient``: the picture may take longer than usual.
+        Both futures may raise a renderer's errors and WorkerLostError. Order the next picture once ``submitted`` is
+        called or the first future is done. ``patient``: the picture may take longer than usual.
         """
         if not self.alive:
             raise WorkerLostError("the worker has stopped")
@@ -105,13 +106,13 @@ class WorkerConnection(asyncio.Protocol):
         if order.slot is None:
             content = self._encoding[number] = loop.create_future()
             content.add_done_callback(_retrieve)  # the client may have left
-        self._since, self._patient, self._begun = clock(), patient, False
+        self._since, self._patient, self._begun, self._submitted = clock(), patient, False, submitted
         self._transport.write(self._writer.pack(Kind.DRAW, number, order))
         return drawn, content
 
     def cancel(self) -> None:
-        """Cancel the present picture."""
-        if self._drawing and self.alive:
+        """Cancel the picture that was ordered last."""
+        if self._number in self._drawing and self.alive:
             self._transport.write(self._writer.pack(Kind.CANCEL, self._number))
 
     def close(self) -> None:
@@ -167,6 +168,9 @@ class WorkerConnection(asyncio.Protocol):
             _answer(self._drawing.pop(number, None), read_result(body))
         elif kind == Kind.BEGUN:
             self._begun = self._begun or number == self._number
+        elif kind == Kind.SUBMITTED:
+            if number == self._number:
+                self._submitted()
         elif kind == Kind.FAILED:
             error = error_of(read_failed(body))
             content = self._encoding.pop(number, None)

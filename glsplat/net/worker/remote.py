@@ -76,7 +76,9 @@ class RemoteWorker:
         self._lost = lost
         return await self._start()
 
-    async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
+    async def draw(
+        self, job: RenderJob, pixels: bool = False, submitted: Callable[[], None] = lambda: None
+    ) -> Rendered:
         """Draw. Pixels in shared memory stay valid until ``done`` of the result is called, once."""
         link, slots, slot = self._link, self.launcher.slots, None
         if link is None:
@@ -92,7 +94,7 @@ class RemoteWorker:
                 raise BudgetError("the picture is no longer wanted", "abandoned")
             shown = job.avatar, job.options.hide
             order = Order(job, None if slot is None else slot.number, pixels and slot is None)
-            drawn, content = link.draw(order, patient=shown not in self._loaded)
+            drawn, content = link.draw(order, shown not in self._loaded, submitted)
             result = await drawn
             images = np.empty((result.views, 0, 0, 4), np.uint8) if slot is None else slot.picture
             if order.pixels and content is not None:
@@ -122,7 +124,7 @@ class RemoteWorker:
         )
 
     def cancel(self) -> None:
-        """Cancel the present picture."""
+        """Cancel the picture that was ordered last."""
         self._cancelled = True
         if self._link is not None:
             self._link.cancel()

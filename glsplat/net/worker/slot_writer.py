@@ -12,7 +12,7 @@ from glsplat.net.backend import Rendered
 
 __all__ = ["SLOTS", "SlotWriter", "mapped", "slot_writers"]
 
-SLOTS = 3  # one picture is drawn while two are encoded
+SLOTS = 4  # one picture is begun while the GPU draws the one before, and two are encoded
 
 
 class SlotWriter:

@@ -49,7 +49,7 @@ class Slots:
         self._slots = mapped(self._file, self.nbytes)
         self._allocated = [min(_INITIAL_BYTES, self.slot_bytes)] * SLOTS  # bytes
         self._loop: asyncio.AbstractEventLoop
-        self._free: asyncio.Queue[int] = asyncio.Queue()
+        self._free: asyncio.Queue[int] = asyncio.LifoQueue()  # the newest is in the processor's cache
         for slot in range(SLOTS):
             self._free.put_nowait(slot)
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TypeVar
 
-from glsplat.net.backend import Backend, Interruptible, Rendered, RenderJob
+from glsplat.net.backend import POLL_S, Backend, Rendered, RenderJob, begin
 
 __all__ = ["ThreadWorker"]
 
@@ -24,22 +25,28 @@ class ThreadWorker:
         self.name: str = "the OpenGL context"
         self._backend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="render")
-        self._cancelled = False
-        if isinstance(backend, Interruptible):
-            backend.abandoned = lambda: self._cancelled
+        self._cancelled = threading.Event()
 
     async def open(self, lost: Callable[[], None]) -> str:
         """Open the backend; a lost context shows in ``draw``."""
         return await self._run(self._backend.open)
 
-    async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
+    async def draw(
+        self, job: RenderJob, pixels: bool = False, submitted: Callable[[], None] = lambda: None
+    ) -> Rendered:
         """Draw. The result has pixels whatever ``pixels`` is."""
-        self._cancelled = False
-        return await self._run(partial(self._backend.render, job))
+        cancelled = self._cancelled = threading.Event()
+        drawn = await self._run(partial(begin, self._backend, job, cancelled.is_set))
+        if isinstance(drawn, Rendered):
+            return drawn
+        submitted()
+        while not await self._run(partial(drawn.ready, POLL_S)):
+            pass  # the thread may have begun another picture
+        return await self._run(drawn.collect)
 
     def cancel(self) -> None:
-        """Cancel the present picture, if the backend is interruptible."""
-        self._cancelled = True
+        """Cancel the picture that was ordered last, if the backend is interruptible."""
+        self._cancelled.set()
 
     async def rebuild(self) -> str:
         """Close the backend and open it again."""

@@ -74,6 +74,7 @@ class Kind(IntEnum):
     ENCODED = 21  # an Encoded
     FAILED = 22  # a Failed
     PIXELS = 23  # bytes of the covered part of the images, [V, h, w, 4]
+    SUBMITTED = 24  # the GPU still draws the picture: the next order may come
 
 
 @dataclass(frozen=True, slots=True, eq=False)

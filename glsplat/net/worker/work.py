@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from glsplat.errors import GlsplatError
-from glsplat.net.backend import Backend, Interruptible, MemoryTarget, Rendered
+from glsplat.net.backend import POLL_S, Backend, MemoryTarget, Rendered, RenderJob, Submitted, begin
 from glsplat.net.worker.slot_writer import SlotWriter, slot_writers
 from glsplat.net.worker.wire import Kind, Order, Reader, RenderResult, failure_of, greet, pack
 
@@ -90,8 +90,7 @@ class _Worker:
             self._send(pack(Kind.REFUSED, 0, failure_of(error)))
             return
         self._send(pack(Kind.OPENED, 0, driver))
-        while (order := self._orders.get()) is not None:
-            self._draw(backend, *order)
+        self._serve(backend)
         if self._encoder is not None:
             self._encoder.close(wait=True)
         backend.close()
@@ -116,17 +115,49 @@ class _Worker:
             pass
         os._exit(0)
 
-    def _draw(self, backend: Backend, number: int, order: Order) -> None:
-        job, slot = order.job, None if order.slot is None else self._slots[order.slot]
-        if isinstance(backend, Interruptible):
-            backend.abandoned = lambda: self._abandoned == number
-        shape = (len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4)
+    def _serve(self, backend: Backend) -> None:
+        """Draw until the end is ordered. While the GPU draws a picture, begin the next one if its order comes."""
+        before: _Begun | None = None
+        running = True
+        while running or before is not None:
+            begun: _Begun | None = None
+            if before is None or (running and self._ordered_before(before[0])):
+                order = self._orders.get()
+                running = order is not None
+                begun = None if order is None else self._begin(backend, *order)
+            if before is not None:
+                before[1]()
+            before = begun
+
+    def _ordered_before(self, ready: Callable[[float], bool]) -> bool:
+        """Wait for the GPU; return whether an order came first."""
+        while self._orders.empty():
+            if ready(POLL_S):
+                return False
+        return True
+
+    def _begin(self, backend: Backend, number: int, order: Order) -> _Begun | None:
+        """Begin a picture; answer its order unless the GPU still draws."""
+        slot = None if order.slot is None else self._slots[order.slot]
         try:
             if isinstance(backend, MemoryTarget):
-                backend.out = None if slot is None else slot.place(shape)
-            rendered = backend.render(job)
+                backend.out = None if slot is None else slot.place(_shape(order.job))
+            drawn = begin(backend, order.job, lambda: self._abandoned == number)
+        except Exception as error:
+            self._send(pack(Kind.FAILED, number, failure_of(error)))
+            return None
+        if isinstance(drawn, Submitted):
+            self._send(pack(Kind.SUBMITTED, number))
+            return drawn.ready, partial(self._answer, number, order, drawn.collect)
+        self._answer(number, order, lambda: drawn)
+        return None
+
+    def _answer(self, number: int, order: Order, collect: Callable[[], Rendered]) -> None:
+        job, slot = order.job, None if order.slot is None else self._slots[order.slot]
+        try:
+            rendered = collect()
             if slot is not None:
-                slot.put(rendered, shape)
+                slot.put(rendered, _shape(job))
         except Exception as error:
             self._send(pack(Kind.FAILED, number, failure_of(error)))
             return
@@ -151,6 +182,14 @@ class _Worker:
     def _send(self, message: bytes) -> None:
         with suppress(OSError), self._sending:  # the reading thread notices the end
             self._connection.sendall(message)
+
+
+_Begun = tuple[Callable[[float], bool], Callable[[], None]]
+"""Submitted.ready of a picture, and what answers its order."""
+
+
+def _shape(job: RenderJob) -> tuple[int, ...]:
+    return len(job.cameras), job.cameras[0].height, job.cameras[0].width, 4
 
 
 def _result(rendered: Rendered) -> RenderResult:

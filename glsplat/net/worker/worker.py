@@ -20,14 +20,17 @@ class Worker(Protocol):
     async def open(self, lost: Callable[[], None]) -> str:
         """Start; return the driver string. ``lost`` is called when the worker ends by itself. Raises GlsplatError."""
 
-    async def draw(self, job: RenderJob, pixels: bool = False) -> Rendered:
+    async def draw(
+        self, job: RenderJob, pixels: bool = False, submitted: Callable[[], None] = lambda: None
+    ) -> Rendered:
         """Draw a picture. The result has ``images``; or ``encoded``, where the worker encodes, except with ``pixels``.
 
-        One call at a time. Raises the errors of ``Backend.render``; after ContextLostError call ``rebuild``.
+        One call at a time, and another one after ``submitted`` was called: the GPU still draws then. Raises the errors
+        of ``Backend.render``; after ContextLostError call ``rebuild``.
         """
 
     def cancel(self) -> None:
-        """Cancel the present picture."""
+        """Cancel the picture that was ordered last."""
 
     async def rebuild(self) -> str:
         """Restart; return the driver string. Raises GlsplatError."""

@@ -131,9 +131,7 @@ async def test_a_picture_whose_encoding_kills_is_given_up(serve):
 
 def drawing(server: Server) -> list[int]:
     """The clients whose pictures are in hand."""
-    return [
-        render_loop._drawing.number for render_loop in server.drawer._render_loops if render_loop._drawing is not None
-    ]
+    return [client.number for render_loop in server.drawer._render_loops for client in render_loop._turning.values()]
 
 
 async def test_an_avatar_that_is_not_on_every_worker(serve):

@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from glsplat.errors import BudgetError, ContextLostError, GlsplatError, PoseError
-from glsplat.net.backend import Rendered
+from glsplat.net.backend import Rendered, Submitted
 
 
 class Boxed:
@@ -52,3 +52,32 @@ class Boxed:
         raise BudgetError("abandoned", "abandoned")
 
     def close(self) -> None: ...
+
+
+class Overlapped(Boxed):
+    """A GPU draws the pictures: ``timings`` has how many were begun and collected when one was collected.
+
+    It finishes after three looks; with 60 as frame_id only once another picture is begun. 96 loses the context.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun = self.collected = 0
+
+    def submit(self, request) -> Submitted:
+        rendered = self.render(request)
+        self.begun += 1
+        number, looks = self.begun, iter(range(3))
+
+        def ready(seconds: float) -> bool:
+            time.sleep(seconds)
+            return self.begun > number if request.frame_id == 60 else next(looks, None) is None
+
+        def collect() -> Rendered:
+            rendered.timings.update(begun=float(self.begun), collected=float(self.collected))
+            self.collected += 1
+            if request.frame_id == 96:
+                raise ContextLostError("lost")
+            return rendered
+
+        return Submitted(ready, collect)

@@ -23,6 +23,7 @@ from glsplat.net.worker import connection, slots
 from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.process import ProcessLauncher, process_worker
 from glsplat.net.worker.remote import RemoteWorker
+from glsplat.net.worker.slot_writer import SLOTS
 from tests.net.running import working
 from tests.net.wire import HANG, until
 from tests.net.worker.fakes import Boxed
@@ -77,16 +78,16 @@ async def test_pixels_too_many_for_a_message_fail_one_picture():
 
 async def test_pictures_stay_until_they_are_done_with():
     async with working(process_worker(Boxed, 64)) as worker:
-        held = [await worker.draw(request(grey=grey)) for grey in (10, 20, 30)]
-        for grey, rendered in zip((10, 20, 30), held, strict=True):
+        held = [await worker.draw(request(grey=grey)) for grey in range(10, 10 + SLOTS)]
+        for grey, rendered in enumerate(held, 10):
             np.testing.assert_array_equal(rendered.images, expected(grey=grey))
-        fourth = asyncio.create_task(worker.draw(request(grey=40)))
+        another = asyncio.create_task(worker.draw(request(grey=40)))
         await asyncio.sleep(0.05)
-        assert not fourth.done()  # there is no room for it
+        assert not another.done()  # there is no room for it
         held[1].done()
-        newest = await fourth
+        newest = await another
         np.testing.assert_array_equal(held[0].images, expected(grey=10))
-        np.testing.assert_array_equal(held[2].images, expected(grey=30))
+        np.testing.assert_array_equal(held[2].images, expected(grey=12))
         np.testing.assert_array_equal(newest.images, expected(grey=40))
 
 

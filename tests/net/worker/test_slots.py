@@ -21,7 +21,7 @@ from glsplat.net.backend import MemoryTarget, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.worker import slots
 from glsplat.net.worker.process import process_worker
-from glsplat.net.worker.slot_writer import slot_writers
+from glsplat.net.worker.slot_writer import SLOTS, slot_writers
 from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import greet
 from glsplat.net.worker.work import work_in_process
@@ -60,13 +60,13 @@ async def test_memory_that_fills_up_fails_one_picture(full):
     async with working(process_worker(Boxed, SIDE)) as worker:
         assert worker.launcher.slots.folder == slots.SHM
         with full():
-            for _ in range(4):  # every slot
+            for _ in range(SLOTS):
                 with pytest.raises(GlsplatError, match=r"^no room for a picture of 11\.0 MiB: .* is full$") as error:
                     await worker.draw(request(SIDE))
                 assert not isinstance(error.value, ContextError)
             (await worker.draw(request(1000))).done()  # what was set aside at the start is there
         rendered = await worker.draw(request(SIDE))
-        assert rendered.images[:, -20:-16, -20:-12].min() == 100 and worker.launcher.slots.free == 2
+        assert rendered.images[:, -20:-16, -20:-12].min() == 100 and worker.launcher.slots.free == SLOTS - 1
         rendered.done()
     assert os.listdir(slots.SHM) == []
 
@@ -104,7 +104,7 @@ async def test_pictures_of_another_number_than_asked_for_take_no_slot():
             with pytest.raises(RuntimeError, match=r"pictures of shape \(2, 64, 64, 4\) were requested, \(3, 64"):
                 await worker.draw(request(64))
             await asyncio.sleep(0)  # it is given back
-        assert worker.launcher.slots.free == 3
+        assert worker.launcher.slots.free == SLOTS
 
 
 class TooMany(Boxed):
