@@ -19,7 +19,6 @@ from apps.report import command as report
 from apps.report import latency as report_latency
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate import subjects as report_subjects
-from glsplat.extras.evaluate.knobs import settings_of
 from glsplat.extras.evaluate.sections import growth as report_growth
 from glsplat.extras.evaluate.sections.growth import Grid
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out
@@ -85,7 +84,7 @@ def test_a_case_that_does_not_behave_as_stated_fails(context: Context) -> None:
     assert rows[4]["seen"] == "RuntimeError: the driver is gone"
 
 
-# -------------------------------------------------------------------------------------------- batching and left out
+# ------------------------------------------------------------------------------------------------ what is left out
 
 
 @pytest.mark.check
@@ -106,11 +105,9 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     run = {"size": [32, 32], "pictures_a_second": 9.0, "bytes_per_frame": 2048, "dropped": 1, "sent": 10}
     streamed = {"fps": 72.0, "paper": report_latency.PAPER, "runs": [{**run, "stages": {s[0]: stage for s in STAGES}}]}
     monkeypatch.setattr(report_latency, "measure", lambda *_: streamed)
-    monkeypatch.setattr(report, "settings_of", lambda *given: settings_of(*given)[:4])
     monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
     monkeypatch.setattr(report, "skin_cases", list)
     monkeypatch.setattr(report, "tracking_cases", list)
-    monkeypatch.setattr(report, "BATCHING_SIZES", (32,))
     monkeypatch.setattr(report, "grid_of", lambda _: Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False))
     monkeypatch.setattr(report_growth, "default_avatar", lambda: limb(200))
 
@@ -146,12 +143,13 @@ def test_from_the_command_line(
     assert {"glsplat", "python", "numpy", "moderngl", "matplotlib", "flip-evaluator"} <= set(result["versions"])
     assert result["latency"]["runs"]
     assert {row["splats"] for row in result["growth"]["splats"]} == {100, 400}
-    (failed,) = [row for row in result["stability"] if row["verdict"] == "failed"]
-    assert failed["error"] is None and result["scenes"][0]["settings"][0]["ms"]["median"] > 0
     text = (out / "report.html").read_text()
+    (failed,) = [row for row in result["stability"] if row["verdict"] == "failed"]
+    assert failed["error"] is None and result["scenes"][0]["rows"][0]["cpu_ms"] > 0
+    assert set(result["quiet"]) == {"others", "noise"} and "6. What to use on" in text and "glsplat render" in text
     assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "bad &lt;b&gt;" in text
     assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
-    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 9
+    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 5
 
 
 @pytest.mark.check
