@@ -21,9 +21,8 @@ from glsplat.extras.evaluate.precision import lpips_if_there, measure
 from glsplat.extras.evaluate.quiet import Watch
 from glsplat.extras.evaluate.sections.growth import grid_of, growth
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
-from glsplat.extras.evaluate.stability.frame import frame_cases, judge
-from glsplat.extras.evaluate.stability.skin import skin_cases
-from glsplat.extras.evaluate.stability.tracking import tracking_cases
+from glsplat.extras.evaluate.stability.extremes import all_cases
+from glsplat.extras.evaluate.stability.frame import judge
 from glsplat.extras.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from glsplat.formats import suffixes
 from glsplat.gl.context import Context, create_context
@@ -120,7 +119,7 @@ def measured(
             bar.update()
 
         with section("stability"):
-            stability = judge([*frame_cases(), *skin_cases(), *tracking_cases()], context)
+            stability = judge(all_cases(), context)
         scenes = []
         for subject in subjects:
             with section("scenes", subject.name):

@@ -19,10 +19,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 from apps.demo import running_server
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.quiet import Quiet, until_quiet
+from glsplat.extras.evaluate.stability.extremes import all_cases
+from glsplat.extras.evaluate.stability.frame import judge
+from glsplat.gl.context import create_context
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
 from tests.conftest import SHARED_DATA
@@ -94,6 +98,24 @@ def frame() -> Iterator[Table]:
     )
     lean = command("bench", "--sizes", *sizes, "--frames", "16", "--level", "auto", "--cull-hidden")
     yield "levels", "The same with levels of detail, without hidden splats.", f"```\n{lean.strip()}\n```"
+
+
+def hard() -> Iterator[Table]:
+    """Every hard case, run."""
+    context, rows = (
+        create_context(),
+        ["| of | case | input | stated behaviour | largest error | |", "|---|---|---|---|--:|---|"],
+    )
+    for row in judge(all_cases(), context):
+        error = "" if row["error"] is None else f"{row['error']:.2g} {row['unit']}"
+        rows.append("| " + " | ".join([*hard_cells(row), error, row["verdict"]]) + " |")
+    context.release()
+    yield "cases", "`glsplat report`, section 3. Errors are against float64, or what the unit says.", "\n".join(rows)
+
+
+def hard_cells(row: dict[str, Any]) -> list[str]:
+    """Return the cells of a hard case that do not depend on the driver."""
+    return [row[key].replace("|", "/") for key in ("group", "case", "input", "behaviour")]
 
 
 def poses() -> Iterator[Table]:
@@ -215,6 +237,7 @@ def _markdown(text: str) -> str:
 
 
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
+    "hard": ("Hard cases", hard),
     "poses": ("Poses over the wire", poses),
     "tracking": ("Tracking", tracking),
     "frame": ("A frame", frame),
@@ -224,7 +247,7 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
 }
 
 
-SIMULATED = ("links", "ladder")
+UNTIMED = ("hard", "links", "ladder")
 """Pages without times of this machine: no gate."""
 
 
@@ -232,7 +255,7 @@ def written(page: str) -> bytes:
     """Return a page of docs/measured, measured now; twice if the machine was not quiet. Raises GlsplatError."""
     title, measure = PAGES[page]
     how = f"python -m tools.docs.measured {page}"
-    if page in SIMULATED:
+    if page in UNTIMED:
         return page_of(title, how, _said(None), measure())
     found, quiet = until_quiet(lambda _: (list(measure()), _noise()), 1, lambda text: None)
     precision.check_quiet(f"{page}.md", quiet)

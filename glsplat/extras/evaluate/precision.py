@@ -1,8 +1,8 @@
 """Work and precision: time and error of the combinations of settings that a user can choose, and their Pareto front.
 
-A full product is too large. A coarse grid of levels, hidden splats, cut-offs and sizes is drawn for few frames; then
-ways that differ in one setting from its front; then the front itself for many frames, with JPEGs on top. Settings take
-turns frame by frame with the default, and a time is the median ratio to the default of the same turn.
+A full product is too large. A coarse grid of levels, hidden splats and cut-offs is drawn for few frames; then ways that
+differ in one setting from four of its front, until there are enough; then the front for many frames, with JPEGs on top.
+Settings take turns frame by frame with the default, and a time is the median ratio to the default of the same turn.
 """
 
 from __future__ import annotations
@@ -57,6 +57,7 @@ Under a given camera the one before: even frames are exactly that camera.
 _BLOCK = 12  # ways that take turns in the search
 _NEAR = 1.05  # times as slow as the front: still a candidate, as the search is short
 _MOST = 14  # candidates of the search
+_ENOUGH = 40  # ways of the search
 _LONGEST = 4  # times the frames, while the default differs too much from itself
 
 
@@ -211,17 +212,19 @@ class _Study:
     def searched(self, frames: int) -> list[Way]:
         """Return the candidates of a coarse grid and of what differs from its front in one setting."""
         self._explore(self._grid(), frames)
-        front = _near(self._ms, self._psnr, 1.0)
-        self._explore((other for way in front for other in self._neighbours(way)), frames)
+        before = 0
+        while before < len(self._ms) < _ENOUGH:
+            before, front = len(self._ms), _spread(_near(self._ms, self._psnr), 4)
+            self._explore((other for way in front for other in self._neighbours(way)), frames)
         near = _near(self._ms, self._psnr, _NEAR)
         exact = _near({w: ms for w, ms in self._ms.items() if render_words(w, self.default) is not None}, self._psnr)
         lean = _near({w: ms for w, ms in self._ms.items() if self._lines(replace(w, jpeg=SERVED))}, self._psnr)
-        return list(dict.fromkeys([*near[:: -(-len(near) // _MOST)], *exact, *lean]))
+        return list(dict.fromkeys([*_spread(near, _MOST), *exact, *lean]))
 
     def finished(self, candidates: Sequence[Way], frames: int) -> dict[str, Any]:
         """Return the result: candidates and defaults for many frames, with JPEGs on top."""
         jpegs: dict[Way, Sequence[tuple[int, str]]]
-        jpegs = {way: JPEGS for way in [*candidates[:: -(-len(candidates) // 6)], self._served]}
+        jpegs = {way: JPEGS for way in [*_spread(candidates, 6), self._served]}
         for way in [w for w in candidates if self._lines(replace(w, jpeg=SERVED))]:
             jpegs[way] = JPEGS
         ways = list(dict.fromkeys([self.default, *candidates, *self._adapted]))
@@ -261,10 +264,8 @@ class _Study:
 
     def _grid(self) -> Iterable[Way]:
         hidden = (False, True) if self._splats.cones is not None else (False,)
-        for level, culled, sigma, scale in product(
-            range(self._coarsest + 1), hidden, (MAX_SIGMA, LEAN.max_sigma), (1.0, 0.75)
-        ):
-            yield replace(self.default, level=level, hidden=culled, sigma=sigma, scale=scale)
+        for level, culled, sigma in product(range(self._coarsest + 1), hidden, (MAX_SIGMA, LEAN.max_sigma)):
+            yield replace(self.default, level=level, hidden=culled, sigma=sigma)
 
     def _neighbours(self, way: Way) -> Iterable[Way]:
         axes: dict[str, Sequence[Any]] = {
@@ -273,7 +274,7 @@ class _Study:
             "bits": (16, 32),
             "period": () if self._subject.cameras else (2, 4),  # given cameras do not move
             "degree": range(self._splats.sh_degree),
-            "scale": (0.875, 0.5),
+            "scale": (0.75, 0.5),
         }
         for axis, values in axes.items():
             for value in values:
@@ -355,6 +356,13 @@ def _near(ms: Mapping[Way, float], psnr: Callable[[Way], float], factor: float =
     if factor == 1:
         return front
     return [way for way in order if not any(ms[f] * factor < ms[way] and psnr(f) >= psnr(way) for f in front)]
+
+
+def _spread(ways: Sequence[Way], most: int) -> list[Way]:
+    """Return at most so many of ``ways``, evenly spaced, the first and the last among them."""
+    return [
+        ways[i] for i in sorted({*np.linspace(0, len(ways) - 1, min(most, len(ways))).round().astype(int).tolist()})
+    ]
 
 
 class _Truth:
