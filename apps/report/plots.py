@@ -25,7 +25,7 @@ def precision_plot(results: Sequence[dict[str, Any]]) -> bytes:
     figure = Figure(figsize=(15, 5.2 * len(results)), layout="constrained")
     for line, result in zip(figure.subplots(len(results), 3, squeeze=False), results, strict=True):
         for axes, (key, label) in zip(line, _MEASURES, strict=True):
-            _precision(axes, [row for row in result["rows"] if row[key] is not None], key)
+            _precision(axes, result["rows"], key)
             axes.set(xscale="log", xlabel="ms a frame (median, line: 95 % interval)", ylabel=label)
             axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             axes.xaxis.set_major_formatter("{x:g}")
@@ -41,7 +41,7 @@ def precision_plot(results: Sequence[dict[str, Any]]) -> bytes:
 
 
 def _precision(axes: Axes, rows: Sequence[dict[str, Any]], key: str) -> None:
-    """Draw the rows of one measure: curves of methods with several rows, the others as dots; fronts; marks."""
+    """Draw the rows that have a measure: curves of methods with several rows, the others grey; fronts; marks."""
     logarithmic = key != "psnr"
 
     def value(row: dict[str, Any]) -> float:
@@ -51,9 +51,10 @@ def _precision(axes: Axes, rows: Sequence[dict[str, Any]], key: str) -> None:
     for row in sorted(rows, key=lambda row: row["ms"]):
         method = f"JPEG {row['way']['jpeg'][1]}" if row["way"]["jpeg"] else row["method"]
         curves.setdefault(method, []).append(row)
-    for index, method in enumerate(sorted(curves, key=lambda name: -len(curves[name]))):
-        own, sent = curves[method], method.startswith("JPEG")
-        few = len(own) < 2 or index >= _MOST_CURVES
+    rows = [row for row in rows if row[key] is not None]
+    for index, method in enumerate(sorted(curves, key=lambda name: -len(curves[name]))):  # one colour in all panels
+        own, sent = [row for row in curves[method] if row[key] is not None], method.startswith("JPEG")
+        few = len(curves[method]) < 2 or index >= _MOST_CURVES
         colour, label = ("0.45", None) if few else (f"C{index % 10}", method)
         x, spread = [r["ms"] for r in own], [[r["ms"] - r["low"] for r in own], [r["high"] - r["ms"] for r in own]]
         marker = "x" if sent else _MARKERS[index % len(_MARKERS)]
@@ -70,6 +71,7 @@ def _precision(axes: Axes, rows: Sequence[dict[str, Any]], key: str) -> None:
                      edgecolors="C3", linewidths=1.4, zorder=5, label=f"default of {mark}")  # fmt: skip
     if logarithmic:
         axes.set_yscale("log")
+        axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:

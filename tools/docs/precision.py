@@ -26,7 +26,7 @@ from glsplat.io.files import replace_file
 from glsplat.io.provenance import commit
 from tests.conftest import SHARED_DATA
 
-SIZES = {512: 24, 1024: 12}
+SIZES = {512: 16, 1024: 8}
 """Pixels a side -> measured frames; the larger size measures the candidates of the smaller one."""
 
 MOST_ROWS = 12  # of a table

@@ -62,7 +62,7 @@ def test_options_of_render_parse_to_the_way(way: Way) -> None:
     assert words is not None
     args = parser.parse_args([*words, "-o", "x.png"])
     target = "32f" if args.float_target == "auto" else args.float_target
-    config = RenderConfig(target=target, sh_degree=args.sh_degree, **detail_of(args))
+    config = RenderConfig(**{"target": target, "sh_degree": args.sh_degree, **detail_of(args)})
     assert config == way.config(RenderConfig())
 
 
