@@ -25,6 +25,9 @@ def precision_plot(results: Sequence[dict[str, Any]]) -> bytes:
     figure = Figure(figsize=(15, 5.2 * len(results)), layout="constrained")
     for line, result in zip(figure.subplots(len(results), 3, squeeze=False), results, strict=True):
         for axes, (key, label) in zip(line, _MEASURES, strict=True):
+            if all(row[key] is None for row in result["rows"]):  # no weights of LPIPS, or a picture too small for it
+                axes.set_axis_off()
+                continue
             _precision(axes, result["rows"], key)
             axes.set(xscale="log", xlabel="ms a frame (median, line: 95 % interval)", ylabel=label)
             axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))

@@ -144,13 +144,16 @@ def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
 
 
 def test_the_page(tmp_path: Path) -> None:
+    """One size with LPIPS, one without its weights."""
     pytest.importorskip("matplotlib")
     served = Way(level=1, sigma=2.5, jpeg=SERVED)
     many = [row(Way(level=n), 40 - n, 60 - n, 0.001 * n) for n in range(1, 16)]
     rows = [row(BASE, 41, 110, 0.0, marks=["render"]), row(served, 9, 33, 0.009, marks=["serve"]), *many]
     result = {"scene": "a cloud", "splats": 1000, "views": 2, "size": [512, 512], "frames": 24, "rows": rows}
     result |= {"quiet": {"others": 0.01, "noise": 0.002}, "searched": [{"ms": 3.0, "psnr": 30.0}]}
-    ((name, about, text),) = page.page({"cloud": [result]}, tmp_path)
+    blind = result | {"rows": [one | {"lpips": None} for one in rows], "size": [64, 64]}
+    (_, _, without), (name, about, text) = page.page({"cloud": [blind, result]}, tmp_path)
+    assert "Use `glsplat render --level 15`" in without and "![" not in without
     assert name == "cloud-512" and "other processes used 1.0% of the cores" in about
     lines = [line for line in text.splitlines() if line.startswith("| ")][1:]
     assert len(lines) == page.MOST_ROWS and lines[0].startswith(
