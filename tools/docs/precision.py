@@ -106,8 +106,8 @@ def page(results: dict[str, list[dict[str, Any]]], images: Path) -> Iterator[tup
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the fronts and the defaults as markdown: all defaults, and of each front as many as fit."""
-    marked = [row for row in rows if row["flip"] is not None and row["marks"]]
+    """Return the fronts as markdown: the defaults of ``render`` and ``serve``, and of the rest as many as fit."""
+    marked = [row for row in rows if row["flip"] is not None and {"render", "serve"} & set(row["marks"])]
     front = [row for row in rows if row["front"] and row["flip"] is not None and row not in marked]
     front.sort(key=lambda row: row["ms"])
     space = max(1, MOST_ROWS - len(marked))
