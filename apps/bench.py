@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import asdict
 from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import WARM_UP, Bench
-from glsplat.extras.evaluate.speed.budget import search
-from glsplat.extras.evaluate.speed.profile import profile
+from glsplat.extras.evaluate.quiet import Quiet, until_quiet
 from glsplat.formats.scene_file import SceneFile
-from glsplat.gl.context import Context, create_context
+from glsplat.gl.context import create_context
 from glsplat.io.provenance import machine
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
@@ -21,7 +21,7 @@ from glsplat.scene import Content, SceneLike, is_rigged
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose
 
-from .args import add_detail, add_driver, add_scene, detail_of, motion_of, open_scene, positive, single, size, whole
+from .args import add_detail, add_driver, add_scene, detail_of, motion_of, open_scene, single, size, whole
 from .progress import Progress
 from .usage import UsageError
 
@@ -42,14 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motion", help=f"motion of an avatar (default {_MOTION}, if it can be driven)")
     parser.add_argument("--static", action="store_true", help="measure an avatar in its zero pose only")
     add_detail(parser, lean=False)
-    more = parser.add_mutually_exclusive_group()
-    more.add_argument("--profile", action="store_true", help="instead: CPU and GPU time of each stage")
-    more.add_argument(
-        "--budget",
-        type=positive,
-        metavar="MS",
-        help="instead: search levels of detail, culling and sizes for that frame time, with the loss of each in dB",
-    )
     add_driver(parser)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
@@ -62,53 +54,27 @@ def run(args: argparse.Namespace) -> int:
     context = create_context(args.device)
     try:
         config = RenderConfig(target=args.float_target, sorter=args.sorter, **detail_of(args))
-        bench = Bench(context, args.frames, config)
-        kinds = kinds_of(bench, scene, motion, file, args.frames + WARM_UP)
-        if args.profile or args.budget is not None:
-            return _other(args, bench, context, config, kinds[-1], file)
-        settings = [(kind, pixels, views) for kind in kinds for pixels in args.sizes for views in args.views]
-        rows: list[dict[str, Any]] = []
-        with Progress(len(settings) + 1, quiet=args.json) as progress:
-            for (kind, model, poses), pixels, views in settings:
-                progress.show(len(rows), f"{kind} {views} x {pixels[0]}x{pixels[1]}")
-                pose_at = file.pose_at if model is file.scene else None
-                rows.append(bench.setting(kind, model, poses, pixels, views, pose_at))
-            progress.show(len(rows), "influences")
-            skins = bench.influences(scene, motion, args.sizes[0]) if isinstance(scene, Avatar) and motion else []
-        result = {**machine(), "driver": context.driver, "backend": context.backend, "frames": args.frames}
-        result |= {"settings": rows, "influences": skins}
+
+        def measured(frames: int) -> tuple[dict[str, Any], float]:
+            rows: list[dict[str, Any]] = []
+            bench = Bench(context, frames, config)
+            kinds = kinds_of(bench, scene, motion, file, frames + WARM_UP)
+            settings = [(kind, pixels, views) for kind in kinds for pixels in args.sizes for views in args.views]
+            with Progress(len(settings) + 1, quiet=args.json) as progress:
+                for (kind, model, poses), pixels, views in settings:
+                    progress.show(len(rows), f"{kind} {views} x {pixels[0]}x{pixels[1]}")
+                    pose_at = file.pose_at if model is file.scene else None
+                    rows.append(bench.setting(kind, model, poses, pixels, views, pose_at))
+                progress.show(len(rows), "influences")
+                skins = bench.influences(scene, motion, args.sizes[0]) if isinstance(scene, Avatar) and motion else []
+            found = {"frames": frames, "settings": rows, "influences": skins}
+            return found, max(row["noise"] for row in rows)
+
+        found, quiet = until_quiet(measured, args.frames, lambda text: print(f"glsplat bench: {text}", file=sys.stderr))
+        result = {**machine(), "driver": context.driver, "backend": context.backend, "quiet": asdict(quiet), **found}
         print(json.dumps(result) if args.json else table(result))
     finally:
         context.release()
-    return 0
-
-
-def _other(
-    args: argparse.Namespace,
-    bench: Bench,
-    context: Context,
-    config: RenderConfig,
-    kind: tuple[str, SceneLike, list[Pose | None]],
-    file: SceneFile,
-) -> int:
-    """Run --profile or --budget at each size, with a moving avatar if there is one."""
-    name, model, poses = kind
-    if args.budget is not None and (args.level is not None or args.cull_hidden):
-        raise UsageError("--budget tries all levels, with hidden splats and without; leave --level, --cull-hidden out")
-    if file.motions and model is file.scene:
-        raise UsageError("--profile and --budget are for one thing, or a scene that stands still")
-    rows = []
-    for pixels in args.sizes:
-        views = [bench.eyes(model, pixels, i)[: args.views[-1]] for i in range(len(poses))]
-        if args.profile:
-            rows.append(profile(context, model, views, poses, config))
-            continue
-        with Progress(len(poses), "frames", quiet=args.json) as bar:
-            found = search(context, model, views, poses, args.budget, config, lambda bar=bar: bar.update())  # type: ignore[misc]
-        rows.append({"size": list(pixels), "views": len(views[0])} | found)
-    result = {**machine(), "driver": context.driver, "frames": args.frames, "kind": name, "rows": rows}
-    text = profile_table(result) if args.profile else budget_table(result)
-    print(json.dumps(result) if args.json else text)
     return 0
 
 
@@ -153,7 +119,8 @@ def _floor(row: dict[str, Any]) -> str:
 def table(result: dict[str, Any]) -> str:
     """Return the numbers as text."""
     lines = [
-        f"{result['driver']} ({result['backend']}); {result['machine']}, {result['cores']} cores; {result['date']}"
+        f"{result['driver']} ({result['backend']}); {result['machine']}, {result['cores']} cores; {result['date']}",
+        Quiet(**result["quiet"]).words,
     ]
     for row in result["settings"]:
         width, height = row["size"]
@@ -161,6 +128,7 @@ def table(result: dict[str, Any]) -> str:
             "",
             f"{row['kind']}, {row['views']} x {width}x{height}: {_content(row)}, target {row['float_target']}",
             f"  {'whole frame':22}{row['frame_ms']['median']:9.2f} ms   p95 {row['frame_ms']['p95']:9.2f}"
+            f"   CPU {row['frame_ms']['cpu']:.2f}"
             + (f"   {row['splats_per_second']:,} splats/s" if row["splats"] else ""),
             *([_floor(row)] if row["splats"] else []),
             f"  {'nothing moved':22}{row['unmoved_ms']['median']:9.2f} ms   p95 {row['unmoved_ms']['p95']:9.2f}",
@@ -179,39 +147,4 @@ def table(result: dict[str, Any]) -> str:
             f"    {row['influences']:<20}{row['skin_ms']['median']:9.2f} ms   p95 {row['skin_ms']['p95']:9.2f}"
             f"   pose and upload {row['pose_and_upload_ms']['median']:.2f} ms"
         )
-    return "\n".join(lines)
-
-
-def profile_table(result: dict[str, Any]) -> str:
-    """Return the stage times of --profile as text."""
-    lines = [
-        f"{result['driver']}; {result['machine']}, {result['cores']} cores; {result['date']}; {result['kind']}",
-        "ms: cpu to issue the stage, gpu by the driver's timer, waited: with a wait after each stage",
-    ]
-    for row in result["rows"]:
-        width, height = row["size"]
-        lines += ["", f"{row['views']} x {width}x{height}: whole frame {row['frame_ms']:.2f} ms"]
-        lines.append(f"    {'stage':12}{'cpu':>9}{'gpu':>9}{'waited':>9}")
-        for stage, ms in row["stages"].items():
-            lines.append(f"    {stage:12}{ms['cpu']:9.2f}{ms['gpu']:9.2f}{ms['waited']:9.2f}")
-    return "\n".join(lines)
-
-
-def budget_table(result: dict[str, Any]) -> str:
-    """Return the settings tried by --budget as text, the fastest first."""
-    lines = [f"{result['driver']}; {result['machine']}, {result['cores']} cores; {result['date']}; {result['kind']}"]
-    lines.append("dB at worst against level 0 drawn exactly: of the whole picture, and of the box around what is shown")
-    for found in result["rows"]:
-        width, height = found["size"]
-        lines += ["", f"{found['views']} x {width}x{height}, {found['budget_ms']:g} ms wanted"]
-        lines.append(f"    {'level':>5}  {'hidden':8}{'size':>6}{'ms':>9}{'drawn':>9}{'dB whole':>10}{'dB box':>8}")
-        for row in sorted(found["rows"], key=lambda row: row["ms"]):
-            mark = "  <-" if row == found["chosen"] else ""
-            hidden = "left out" if row["culled"] else "drawn"
-            lines.append(
-                f"    {row['level']:>5}  {hidden:8}{row['scale']:>6g}{row['ms']:9.2f}{row['drawn']:>9}"
-                f"{row['psnr']:>10.1f}{row['psnr_box']:>8.1f}{mark}"
-            )
-        if found["chosen"] is None:
-            lines.append("    nothing is that fast; fewer splats (glsplat avatar levels) or smaller pictures (--sizes)")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""``glsplat report``: error against run time, gains of batching and culling, and stability in hard cases."""
+"""``glsplat report``: error against run time, what is left out, stability in hard cases, latency and growth."""
 
 from __future__ import annotations
 
@@ -10,23 +10,19 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.extras.evaluate.difference import require_extra
-from glsplat.extras.evaluate.frames import WARM_UP
-from glsplat.extras.evaluate.knobs import base_config, error_frames, settings_of
-from glsplat.extras.evaluate.sections.batching import batching
+from glsplat.extras.evaluate.precision import lpips_if_there, measure
+from glsplat.extras.evaluate.quiet import Watch
 from glsplat.extras.evaluate.sections.growth import grid_of, growth
-from glsplat.extras.evaluate.sections.hidden import Search, hidden, with_hidden
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
-from glsplat.extras.evaluate.sections.measure import measure
-from glsplat.extras.evaluate.stability.frame import frame_cases, judge
-from glsplat.extras.evaluate.stability.skin import skin_cases
-from glsplat.extras.evaluate.stability.tracking import tracking_cases
+from glsplat.extras.evaluate.stability.extremes import all_cases
+from glsplat.extras.evaluate.stability.frame import judge
 from glsplat.extras.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
 from glsplat.formats import suffixes
 from glsplat.gl.context import Context, create_context
@@ -41,12 +37,11 @@ from . import latency as report_latency
 from .html import page
 
 HELP = (
-    "Render scenes over a grid of settings, compare with a float64 reference, time every setting in one process, and "
-    "write report.html (opens offline), plots and report.json. The default avatar is always among the scenes."
+    "Render scenes by combinations of settings, compare with a float64 reference, time them in one process, write "
+    "report.html (opens offline), plots and report.json, and end with the options to use. The default avatar is always "
+    "among the scenes."
 )
 EXAMPLE = "glsplat report --quick -o out/report"
-
-BATCHING_SIZES = (512, 768, 1024)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
     )
     parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures, fewer points of growth")
-    parser.add_argument("--frames", type=whole(3, 10000), help="measured frames a setting (default 30; 8 with --quick)")
+    parser.add_argument("--frames", type=whole(3, 10000), help="measured frames a setting (default 24; 8 with --quick)")
     parser.add_argument(
         "--size", type=whole(16, 1024), help="pixels a side of section 1 (default 256; 128 with --quick)"
     )
@@ -76,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write the report and print failures; return 1 if a stability case failed."""
-    frames = (8 if args.quick else 30) if args.frames is None else args.frames
+    frames = (8 if args.quick else 24) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
     require_extra()
     check_cameras(args.cameras, args.scenes)
@@ -108,15 +103,12 @@ def measured(
     device: str | None,
 ) -> dict[str, Any]:
     """Return all sections of the report as one JSON object, without plots."""
-    base = base_config(context)
-    settings = [settings_of(subject, base, quick, context.compute, context.vertex_storage) for subject in subjects]
-    compared = [error_frames(subject, frames, quick) for subject in subjects]
+    watch, lpips = Watch(), lpips_if_there()
     main = next((s for s in subjects if s.moving), subjects[0])
     still = replace(main, cameras=())
     fewer = max(3, frames // 4) if quick else max(3, frames // 2)
-    culled, search = with_hidden(subjects), Search(frames=3, moments=1, around=3) if quick else Search(frames=frames)
     seconds: dict[str, float] = {}
-    with Progress(len(subjects) + len(BATCHING_SIZES) + 5) as bar:
+    with Progress(len(subjects) + 4) as bar:
 
         @contextmanager
         def section(name: str, text: str = "") -> Iterator[None]:
@@ -127,20 +119,14 @@ def measured(
             bar.update()
 
         with section("stability"):
-            stability = judge([*frame_cases(), *skin_cases(), *tracking_cases()], context)
+            stability = judge(all_cases(), context)
         scenes = []
-        for subject, own, when in zip(subjects, settings, compared, strict=True):
+        for subject in subjects:
             with section("scenes", subject.name):
-                scenes.append(measure(context, subject, own, frames, when))
-        with section("hidden splats"):
-            hidden_rows, hidden_pictures = hidden(context, culled, search)
+                scenes.append(measure(context, subject, frames, lpips))
         with section("left out"):
             rows = left_out(context, replace(still, moving=False), features_of(main.scene, context), fewer)
             unmoved_row = unmoved(context, still, fewer)
-        batches = []
-        for side in BATCHING_SIZES:
-            with section("batching", f"batching {side}x{side}"):
-                batches.append(batching(context, replace(still, size=side), fewer))
         with section("latency"):
             latency = report_latency.measure(quick)
         with section("growth"):
@@ -153,38 +139,28 @@ def measured(
         "backend": context.backend,
         "quick": quick,
         "frames": frames,
-        "frames_of_the_rest": fewer,  # batching and what is left out
-        "warm_up": WARM_UP,
+        "frames_left_out": fewer,
         "seconds": seconds,
         "scenes": scenes,
-        "batching": batches,
-        "batching_scene": main.name,
         "left_out": rows,
         "left_out_splats": len(splats_of(main.scene)),
         "unmoved": unmoved_row,
         "stability": stability,
         "latency": latency,
         "growth": grown,
-        "hidden": hidden_rows,
-        "hidden_pictures": hidden_pictures,  # taken out and written as PNG
+        "quiet": asdict(watch.read(max(scene["quiet"]["noise"] for scene in scenes))),
     }
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """Write plots, report.json and report.html atomically; return their paths, the page last."""
-    from .plots import batching_plot, error_plot, growth_plot, hidden_plot, knob_plot, left_out_plot
+    from .plots import growth_plot, left_out_plot, precision_plot
 
-    pictures: dict[str, bytes] = {"batching.png": batching_plot(result["batching"])}
-    pictures["left_out.png"] = left_out_plot(result["left_out"])
-    pictures["growth.png"] = growth_plot(result["growth"])
-    for index, row in enumerate(result["hidden"]):
-        row["plot"] = f"hidden-{index}.png"
-        pictures[row["plot"]] = hidden_plot(row, result["hidden_pictures"][row["scene"]])
-    result = {key: value for key, value in result.items() if key != "hidden_pictures"}
+    pictures = {"left_out.png": left_out_plot(result["left_out"]), "growth.png": growth_plot(result["growth"])}
     for index, scene in enumerate(result["scenes"]):
-        stem = f"{index}-" + (re.sub(r"[^a-z0-9]+", "-", scene["scene"].lower()).strip("-") or "scene")
-        scene["plots"] = [f"{stem}.png", f"{stem}-knobs.png"]
-        pictures |= dict(zip(scene["plots"], (error_plot(scene), knob_plot(scene)), strict=True))
+        stem = re.sub(r"[^a-z0-9]+", "-", scene["scene"].lower()).strip("-") or "scene"
+        scene["plot"] = f"{index}-{stem}.png"
+        pictures[scene["plot"]] = precision_plot([scene])
     result = finite(result)
     text = json.dumps(result, indent=1, allow_nan=False)
     files = {**pictures, "report.json": text.encode(), "report.html": page(result, pictures).encode()}

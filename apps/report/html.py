@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, advice
+from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
+
 from ..page import document, escaped, image_of, number_of, table_of
 from . import latency as report_latency
 
@@ -19,14 +22,16 @@ _DENSE = (
 def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """Return the document; ``pictures`` are PNG by file name, also written beside it."""
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
+    quiet = Quiet(**result["quiet"])
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    rest = f"{result['frames_of_the_rest']} in sections 2 and 3, {result['growth']['frames']} in 6"
-    width = f"{result['frames']} frames a setting after {result['warm_up']} of warm-up ({rest})"
+    rest = f"{result['frames_left_out']} in section 2, {result['growth']['frames']} in 5"
+    width = f"{result['frames']} frames a setting ({rest})"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
         f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
+        f"Quiet: {quiet.words}" + ("" if quiet.ok else f"; above {MAX_SHARE:.0%}: compare CPU times only"),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
     parts = ["<h1>Error against run time</h1><ul>", *(f"<li>{escaped(fact)}</li>" for fact in facts), "</ul>"]
@@ -37,75 +42,49 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts.append("<h2>1. Error against run time</h2>")
     for scene in result["scenes"]:
         parts += _scene(scene, pictures)
-    parts += _batching(result["batching"], pictures)
     parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
     parts += _latency(result["latency"])
     parts += _growth(result["growth"], pictures)
-    parts += _hidden(result["hidden"], pictures)
+    parts += _advice(result["scenes"], result["driver"])
     return document("glsplat report", "".join(parts))
 
 
 def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
     width, height = scene["size"]
     heading = f"{scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width}x{height}"
-    better = ", ".join(scene["better"]) or "none"
-    rows, classes = [], []
-    for row in scene["settings"]:
-        rows.append(
-            [
-                row["knob"],
-                row["setting"],
-                row["ms"]["median"],
-                row["ms"]["p95"],
-                row["ratio"],
-                row["psnr"],
-                row["maximum"],
-                row["flip"],
-                "front" if row["pareto"] else "",
-            ]
-        )
-        classes.append("front" if row["pareto"] else "")
-    names = [
-        "knob",
-        "setting",
-        "ms, median",
-        "ms, p95",
-        "of the default",
-        "PSNR (dB)",
-        "maximum error",
-        "FLIP",
-        "Pareto",
-    ]
+    rows = sorted((row for row in scene["rows"] if row["flip"] is not None), key=lambda row: row["ms"])
+    table = []
+    for row in rows:
+        interval = f"{row['low']:.1f} to {row['high']:.1f}"
+        lpips = "" if row["lpips"] is None else row["lpips"]
+        errors = [row["psnr"], row["maximum"], row["flip"], lpips]
+        table.append([row["words"], row["ms"], interval, row["cpu_ms"], *errors, ", ".join(row["marks"])])
+    names = ["setting", "ms, median", "95 %", "ms of CPU", "PSNR (dB)", "maximum error", "FLIP", "LPIPS", "default of"]
     return [
         f"<h3>{escaped(heading)}</h3>",
         *([f"<p>{_DENSE}</p>"] if scene["dense_truth"] else []),
-        *(image_of(pictures, name) for name in scene["plots"]),
-        f"<p>The default measured twice differs by {scene['noise_ms']:.3f} ms. "
-        f"As close or closer than the default and faster by more than that: {escaped(better)}.</p>",
-        table_of(names, rows, classes),
+        image_of(pictures, scene["plot"]),
+        f"<p>{len(scene['searched'])} combinations searched, {len(scene['rows'])} measured over {scene['frames']} "
+        f"frames; {escaped(Quiet(**scene['quiet']).words)}. The table has the fronts and the defaults.</p>",
+        table_of(names, table, ["front" if row["front"] else "" for row in rows]),
     ]
 
 
-def _batching(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
-    table, stages = [], []
-    for row in rows:
-        paper = row.get("paper", {})
-        ours = [row["pair_ms"]["median"], row["two_ms"]["median"], row["fps"], row["two_fps"], row["gain"]]
-        theirs = [paper.get("pair_ms", ""), paper.get("two_ms", ""), paper.get("gain", "")]
-        table.append([f"{row['size']} x {row['size']}", *ours, row["in_turn_gain"], *theirs])
-        for stage in row["stages"]:
-            stages.append([f"{row['size']}", stage["stage"], stage["pair_ms"], stage["two_ms"], stage["saved_ms"]])
-    names = ["pixels an eye", "batched (ms)", "two renders (ms)", "FPS", "FPS, two renders", "gain"]
-    names += ["gain over one renderer, eye by eye", "paper, batched (ms)", "paper, not batched (ms)", "paper, gain"]
-    return [
-        "<h2>2. Binocular Batching</h2>",
-        "<p>Two renders share nothing; one renderer, eye by eye, shares skinning. The paper's figures are of its "
-        "authors' GPU and avatar.</p>",
-        image_of(pictures, "batching.png"),
-        table_of(names, table),
-        table_of(["pixels an eye", "stage", "pair (ms)", "two renders (ms)", "saved (ms)"], stages),
+def _advice(scenes: Sequence[Mapping[str, Any]], driver: str) -> list[str]:
+    out = [
+        f"<h2>6. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
     ]
+    out.append(f"LPIPS up to {VISIBLE_LPIPS:g}, or without its weights PSNR from {VISIBLE_PSNR:g} dB.</p>")
+    for scene in scenes:
+        for name, (words, row) in advice(scene).items():
+            pasted = f"glsplat render {' '.join(words)}" if name == "render" else "\n".join(words)
+            where = "" if name == "render" else " (server.toml of glsplat serve --config)"
+            error = f"{row['psnr']:.1f} dB" + ("" if row["lpips"] is None else f", LPIPS {row['lpips']:.4f}")
+            seen = "; all errors are visible, this is the smallest" if row["visible"] else ""
+            text = f"For {scene['scene']} use{where}: {row['ms']:.1f} ms, {error}{seen}"
+            out.append(f"<p>{escaped(text)}</p><pre>{escaped(pasted)}</pre>")
+    return out
 
 
 def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
@@ -118,6 +97,7 @@ def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[
                 row["how"],
                 lean["ms"]["median"],
                 full["ms"]["median"],
+                f"{number_of(lean['ms']['cpu'])} / {number_of(full['ms']['cpu'])}",
                 row["cost"],
                 f"{lean['programs']} / {full['programs']}",
                 f"{lean['buffers']} / {full['buffers']}",
@@ -127,17 +107,29 @@ def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[
                 f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)"),
             ]
         )
-    names = ["feature", "present but unused", "without (ms)", "with (ms)", "cost", "programs", "buffers", "more passes"]
+    names = [
+        "feature",
+        "present but unused",
+        "without (ms)",
+        "with (ms)",
+        "ms of CPU",
+        "cost",
+        "programs",
+        "buffers",
+        "more passes",
+    ]
     names += ["bytes a splat without", "with", "pictures apart"]
     still = result["unmoved"]
-    rest = [["moved", still["moved_ms"]["median"], " ".join(still["moved_passes"])]]
-    rest.append(["unmoved", still["unmoved_ms"]["median"], " ".join(still["unmoved_passes"])])
+    rest = [["moved", still["moved_ms"]["median"], still["moved_ms"]["cpu"], " ".join(still["moved_passes"])]]
+    rest.append(
+        ["unmoved", still["unmoved_ms"]["median"], still["unmoved_ms"]["cpu"], " ".join(still["unmoved_passes"])]
+    )
     return [
-        "<h2>3. What is left out</h2>",
+        "<h2>2. What is left out</h2>",
         image_of(pictures, "left_out.png"),
         table_of(names, rows),
         f"<p>Passes of a frame of {escaped(still['scene'])}:</p>",
-        table_of(["frame", "ms, median", "passes"], rest),
+        table_of(["frame", "ms, median", "ms of CPU", "passes"], rest),
     ]
 
 
@@ -151,7 +143,7 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
         )
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
-    return ["<h2>4. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
+    return ["<h2>3. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
 
 
 def _latency(result: Mapping[str, Any]) -> list[str]:
@@ -162,7 +154,7 @@ def _latency(result: Mapping[str, Any]) -> list[str]:
         for run in result["runs"]
     ]
     return [
-        "<h2>5. Latency</h2>",
+        "<h2>4. Latency</h2>",
         f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
         "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
         table_of(head, rows),
@@ -178,11 +170,11 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
         for row in growth[axis]:
             what = [axis, row["splats"], f"{row['views']} x {row['size']}x{row['size']}"]
             if "left_out" in row:
-                rows.append([*what, f"left out: {row['left_out']}", "", "", ""])
+                rows.append([*what, f"left out: {row['left_out']}", "", "", "", ""])
                 continue
             process = row["process_bytes"]
             grown = process / 1e6 if process is not None else "not measured"
-            rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["gpu_bytes"] / 1e6, grown])
+            rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["ms"]["cpu"], row["gpu_bytes"] / 1e6, grown])
     fits = growth["fits"]
     stages = {f"{stage}, ns a splat": line for stage, line in fits["stages_ns_a_splat"].items()}
     named = {
@@ -199,43 +191,24 @@ def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[st
             constant = f"{number_of(line['constant'])} {unit}"
             lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
     return [
-        "<h2>6. Growth</h2>",
+        "<h2>5. Growth</h2>",
         f"<p>{escaped(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
         "relative error through the medians; the last column says how far the worst point lies off.</p>",
         image_of(pictures, "growth.png"),
         table_of(["slope", "value", "constant", "worst point"], lines),
         table_of(
-            ["along", "splats", "views", "ms, median", "ms, p95", "buffers and textures (MB)", "process grew by (MB)"],
+            [
+                "along",
+                "splats",
+                "views",
+                "ms, median",
+                "ms, p95",
+                "ms of CPU",
+                "buffers and textures (MB)",
+                "process grew by (MB)",
+            ],
             rows,
         ),
-    ]
-
-
-def _hidden(rows: Sequence[Mapping[str, Any]], pictures: Mapping[str, bytes]) -> list[str]:
-    out = ["<h2>7. Hidden splats</h2>"]
-    if not rows:
-        return [*out, "<p>No scene has visibility cones.</p>"]
-    table = []
-    for row in rows:
-        for price in row["price"]:
-            times = [price[key]["median"] for key in ("whole_ms", "floor_ms", "culled_ms")]
-            size = f"2 x {price['size']}x{price['size']}"
-            wanted = "" if price["wanted"] is None else f"{price['wanted']:g}"
-            table.append([row["scene"], size, *times, price["to_floor"], wanted, price["drawn"], price["psnr"]])
-    names = ["scene", "pictures", "whole frame (ms)", "its draw alone (ms)", "without hidden splats (ms)"]
-    names += ["of the draw alone", "wanted", "splats drawn", "PSNR (dB)"]
-    worst = []
-    for row in rows:
-        w = row["worst"]
-        worst.append([row["scene"], w["pictures"], w["psnr_median"], w["psnr_p5"], w["psnr"], w["where"]])
-    heads = ["scene", "pictures", "PSNR, median (dB)", "5th percentile", "worst", "where"]
-    return [
-        *out,
-        "<p>Splats seen from outside their visibility cone are left out. PSNR here is against the complete picture of "
-        "the same renderer; the error against run time of several margins is in section 1.</p>",
-        table_of(names, table),
-        table_of(heads, worst),
-        *(image_of(pictures, row["plot"]) for row in rows),
     ]
 
 

@@ -1,6 +1,6 @@
 """Pages of docs/measured: tables that commands print, with commit, driver and date, and their copies elsewhere.
 
-    python -m tools.docs.measured               # all pages, twenty minutes; nothing else should run on the machine
+    python -m tools.docs.measured               # all pages, forty minutes; nothing else may run on the machine
     python -m tools.docs.measured frame         # one of them
     python -m tools.docs.measured --copies      # measures nothing: writes the copies anew
 
@@ -19,11 +19,18 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 from apps.demo import running_server
+from glsplat.errors import GlsplatError
+from glsplat.extras.evaluate.quiet import Quiet, until_quiet
+from glsplat.extras.evaluate.stability.extremes import all_cases
+from glsplat.extras.evaluate.stability.frame import judge
+from glsplat.gl.context import create_context
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
 from tests.conftest import SHARED_DATA
+from tools.docs import precision
 from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,24 +100,22 @@ def frame() -> Iterator[Table]:
     yield "levels", "The same with levels of detail, without hidden splats.", f"```\n{lean.strip()}\n```"
 
 
-def knobs() -> Iterator[Table]:
-    """What each setting costs and saves."""
-    folder = ROOT / "out" / "measured" / "report"
-    command("report", "--quick", "-o", str(folder))
-    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    for scene in report["scenes"]:
-        rows = ["| knob | setting | time, of the default | PSNR, dB | largest error |", "|---|---|--:|--:|--:|"]
-        for row in scene["settings"]:
-            cells = (row["knob"], row["setting"], f"{row['ratio']:.2f}", f"{row['psnr']:.1f}", f"{row['maximum']:.3f}")
-            rows.append("| " + " | ".join(cells) + " |")
-        width, height = scene["size"]
-        yield (
-            "moving" if scene["scene"].endswith("in motion") else "still",
-            f"`glsplat report --quick`, {scene['scene']}: {scene['splats']:,} splats, {scene['views']} x {width} x\n"
-            f"{height} pixels, against `glsplat/reference.py` in float64. The default measured twice differs by\n"
-            f"{scene['noise_ms'] / scene['settings'][0]['ms']['median']:.0%}: nearer shares say nothing.",
-            "\n".join(rows),
-        )
+def hard() -> Iterator[Table]:
+    """Every hard case, run."""
+    context, rows = (
+        create_context(),
+        ["| of | case | input | stated behaviour | largest error | |", "|---|---|---|---|--:|---|"],
+    )
+    for row in judge(all_cases(), context):
+        error = "" if row["error"] is None else f"{row['error']:.2g} {row['unit']}"
+        rows.append("| " + " | ".join([*hard_cells(row), error, row["verdict"]]) + " |")
+    context.release()
+    yield "cases", "`glsplat report`, section 3. Errors are against float64, or what the unit says.", "\n".join(rows)
+
+
+def hard_cells(row: dict[str, Any]) -> list[str]:
+    """Return the cells of a hard case that do not depend on the driver."""
+    return [row[key].replace("|", "/") for key in ("group", "case", "input", "behaviour")]
 
 
 def poses() -> Iterator[Table]:
@@ -239,7 +244,7 @@ def _markdown(text: str) -> str:
 
 
 PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
-    "knobs": ("Settings", knobs),
+    "hard": ("Hard cases", hard),
     "poses": ("Poses over the wire", poses),
     "tracking": ("Tracking", tracking),
     "frame": ("A frame", frame),
@@ -249,16 +254,43 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
 }
 
 
+UNTIMED = ("hard", "links", "ladder")
+"""Pages without times of this machine: no gate."""
+
+
 def written(page: str) -> bytes:
-    """A page of docs/measured, measured now."""
+    """Return a page of docs/measured, measured now; twice if the machine was not quiet. Raises GlsplatError."""
     title, measure = PAGES[page]
-    facts, load = machine(), os.getloadavg()[0]
+    how = f"python -m tools.docs.measured {page}"
+    if page in UNTIMED:
+        return page_of(title, how, _said(None), measure())
+    found, quiet = until_quiet(lambda _: (list(measure()), _noise()), 1, lambda text: None)
+    precision.check_quiet(f"{page}.md", quiet)
+    return page_of(title, how, _said(quiet), found)
+
+
+def written_precision(person: Path, minutes: float) -> bytes:
+    """Return the page of work and precision, which has a gate for each scene. Raises GlsplatError."""
+    found = precision.measured(ROOT / "out" / "measured" / "precision", person, minutes)
+    how = "python -m tools.docs.measured precision --person PERSON.glb"
+    said = f"{_said(None)} {precision.about_errors()}"
+    return page_of("Work and precision", how, said, precision.page(found, ROOT / "docs" / "images"))
+
+
+def _noise() -> float:
+    """Return how far two halves of one series are apart, as bench measures them."""
+    row = json.loads(command("bench", "--static", "--sizes", "256x256", "--frames", "60", "--json"))["settings"][0]
+    return float(row["noise"])
+
+
+def _said(quiet: Quiet | None) -> str:
+    facts = machine()
     driver = json.loads(command("bench", "--static", "--sizes", "64x64", "--frames", "3", "--json"))["driver"]
-    said = (
-        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores,\n"
-        f"load {load:.1f} before. Times of one table can be compared; those of other machines and days cannot."
+    return (
+        f"Commit {facts['commit']}, {facts['date']}. {driver}; {facts['machine']}, {facts['cores']} cores"
+        + (f"; {quiet.words}" if quiet else "")
+        + ". Times of one table can be compared; those of other machines and days cannot."
     )
-    return page_of(title, f"python -m tools.docs.measured {page}", said, measure())
 
 
 def page_of(title: str, how: str, said: str, found: Iterable[Table]) -> bytes:
@@ -270,17 +302,23 @@ def page_of(title: str, how: str, said: str, found: Iterable[Table]) -> bytes:
     return ("\n".join(text) + "\n").encode()
 
 
-def main(pages: list[str], copies: bool) -> None:
+def main(pages: list[str], copies: bool, person: Path, minutes: float) -> None:
     FOLDER.mkdir(exist_ok=True)
-    for page in [] if copies else pages or list(PAGES):
-        replace_file(FOLDER / f"{page}.md", [written(page)])
+    for page in [] if copies else pages or [*PAGES, "precision"]:
+        text = written_precision(person, minutes) if page == "precision" else written(page)
+        replace_file(FOLDER / f"{'work-precision' if page == 'precision' else page}.md", [text])
     for path in pages_with_copies():
         replace_file(path, [with_copies(path.read_text(encoding="utf-8")).encode()])
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("pages", nargs="*", choices=[*PAGES, []])
+    parser.add_argument("pages", nargs="*", choices=[*PAGES, "precision", []])
     parser.add_argument("--copies", action="store_true")
+    parser.add_argument("--person", type=Path, default=ROOT / "out" / "person.glb", help="see tools/docs/precision.py")
+    parser.add_argument("--minutes", type=float, default=20.0, help="of precision: no scene begins later (default 20)")
     arguments = parser.parse_args()
-    main(arguments.pages, arguments.copies)
+    try:
+        main(arguments.pages, arguments.copies, arguments.person, arguments.minutes)
+    except GlsplatError as error:
+        sys.exit(f"tools.docs.measured: {error}")

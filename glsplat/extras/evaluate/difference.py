@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from glsplat import reference
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
-from glsplat.config import DebugConfig, RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.metrics.flip import flip as mean_flip
 from glsplat.extras.evaluate.metrics.pixels import decibel
@@ -20,7 +19,7 @@ from glsplat.optional import require_package
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["PSNR_CAP", "Difference", "ReferencePictures", "pareto", "require_extra"]
+__all__ = ["PSNR_CAP", "Difference", "pareto", "reference_pictures", "require_extra"]
 
 PSNR_CAP = 160.0
 """Decibels reported for equal pictures: JSON has no infinity."""
@@ -70,26 +69,12 @@ class Difference:
         return self.psnr >= 65 and self.mean <= 1e-4 and self.beyond <= 0.003 and self.maximum <= 0.06
 
 
-class ReferencePictures:
-    """Float64 pictures of one scene, each rendered once."""
-
-    def __init__(self, scene: Splats | Avatar) -> None:
-        self._scene = scene
-        self._kept: dict[tuple[Any, ...], NDArray[np.float64]] = {}
-
-    def of(self, views: Sequence[Camera], pose: Pose | None, order: str) -> NDArray[np.float64]:
-        """[V, H, W, 4] under the pixel contract, all influences, in the ``order`` given (shared or per_view)."""
-        key = (order, *(v.viewmat.tobytes() + v.K.tobytes() + bytes(f"{v.width}x{v.height}", "ascii") for v in views))
-        key += (b"",) if pose is None else (pose.rotations.tobytes() + pose.trans.tobytes(),)
-        if key not in self._kept:
-            config = RenderConfig(debug=DebugConfig(order="per_view" if order == "per_view" else "shared"))
-            scene = self._scene
-            if isinstance(scene, Avatar):
-                bones = (pose or Pose.zero(len(scene.skeleton))).bones(scene.skeleton)
-                self._kept[key] = reference.render(scene.splats, views, scene.skin, bones, config)
-            else:
-                self._kept[key] = reference.render(splats_of(scene), views, config=config)
-        return self._kept[key]
+def reference_pictures(scene: Splats | Avatar, views: Sequence[Camera], pose: Pose | None) -> NDArray[np.float64]:
+    """Return [V, H, W, 4] in float64 under the pixel contract, with all influences."""
+    if not isinstance(scene, Avatar):
+        return reference.render(splats_of(scene), views)
+    bones = (pose or Pose.zero(len(scene.skeleton))).bones(scene.skeleton)
+    return reference.render(scene.splats, views, scene.skin, bones)
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:

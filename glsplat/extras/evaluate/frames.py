@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -21,7 +22,7 @@ from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.views import orbited, view_of, viewing_point
 
-__all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Binocular", "Series", "triangles_of"]
+__all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Binocular", "Series", "halves_apart", "timed", "triangles_of"]
 
 FOV = 65.0
 WARM_UP = 5
@@ -34,11 +35,30 @@ class Series:
 
     median: float
     p95: float
+    cpu: float | None = None  # median of the process with all its threads; None: not measured
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Series:
+    def of(cls, values: Sequence[float], cpu: Sequence[float] = ()) -> Series:
         """Statistics of the samples."""
-        return cls(round(float(np.median(values)), 3), round(float(np.percentile(values, 95)), 3))
+        median, p95 = float(np.median(values)), float(np.percentile(values, 95))
+        return cls(round(median, 3), round(p95, 3), round(float(np.median(cpu)), 3) if len(cpu) else None)
+
+    @classmethod
+    def of_times(cls, times: Sequence[tuple[float, float]]) -> Series:
+        """Statistics of what ``timed`` returned."""
+        return cls.of([wall for wall, _ in times], [cpu for _, cpu in times])
+
+
+def timed(call: Callable[[], Any]) -> tuple[tuple[float, float], Any]:
+    """Return ((ms, ms of CPU of this process with all threads), result)."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = call()
+    return ((time.perf_counter() - wall) * 1e3, (time.process_time() - cpu) * 1e3), result
+
+
+def halves_apart(values: Sequence[float]) -> float:
+    """Return the relative difference between the medians of even and odd samples: the noise of the series."""
+    return round(abs(float(np.median(values[::2]) / np.median(values[1::2])) - 1), 4)
 
 
 def triangles_of(scene: SceneLike) -> int:
@@ -106,7 +126,7 @@ class Bench:
         pair, single, staged = (
             self._renderer(scene, pixels, n, timed) for n, timed in ((views, 0), (1, 0), (views, 1))
         )
-        whole, floor, gpu, apart, still, still_apart = [], [], [], [], [], []
+        whole, cpu, floor, gpu, apart, still, still_apart = [], [], [], [], [], [], []
         with self._context.entered("Bench"):
             query = self._context.ctx.query(time=True)
         stages: dict[str, list[float]] = {}
@@ -114,8 +134,7 @@ class Bench:
             eyes = self.eyes(scene, pixels, i)[:views]
             if pose_at is not None:
                 pose_at(i / 30)
-            pair.render(eyes, pose)
-            total = pair.timings["total"]
+            total, _ = timed(lambda: pair.render(eyes, pose))  # noqa: B023 - called at once
             with self._context, query:
                 lowest = pair.redraw(eyes)
             two = 0.0
@@ -128,7 +147,8 @@ class Bench:
             unmoved, unmoved_apart = pair.timings["total"], self._unmoved(single, eyes, pose)
             if i < WARM_UP:
                 continue
-            whole.append(total)
+            whole.append(total[0])
+            cpu.append(total[1])
             floor.append(lowest)
             with self._context.entered("Bench"):
                 gpu.append(query.elapsed / 1e6)
@@ -149,7 +169,8 @@ class Bench:
             "mesh_bytes": memory["meshes"],
             "variant": asdict(pair.variant),
             "float_target": pair.target_dtype,
-            "frame_ms": asdict(Series.of(whole)),
+            "frame_ms": asdict(Series.of(whole, cpu)),
+            "noise": halves_apart(whole),
             "floor_ms": asdict(Series.of(floor)),
             "gpu_draw_ms": asdict(Series.of(gpu)),  # the driver's own timer around the same draw
             "frame_to_floor": round(float(np.median(np.array(whole) / floor)), 3),

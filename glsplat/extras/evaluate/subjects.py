@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.avatar import Avatar, splats_of
+from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError, GlsplatError
@@ -79,10 +79,6 @@ class Subject:
         if not isinstance(self.scene, Avatar) or not self.moving:
             return None
         return pose_of_frame(self.scene.skeleton, frame)
-
-    def level(self, share: float) -> Splats | Avatar:
-        """The scene with that share of its splats, merged from it (authoring/detail); 1 is the scene itself."""
-        return self.scene if share == 1.0 else _level(self, share)
 
 
 def pose_of_frame(skeleton: Skeleton, frame: int) -> Pose:
@@ -175,13 +171,6 @@ def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None
 @lru_cache(maxsize=4)  # asked for every frame, and its percentiles take milliseconds
 def _viewing_point(scene: Content) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return viewing_point(scene, FOV)
-
-
-@lru_cache(maxsize=4)
-def _level(subject: Subject, share: float) -> Splats | Avatar:
-    from glsplat.extras.authoring.finish.level_merge import merged
-
-    return merged(subject.scene, max(1, round(share * len(splats_of(subject.scene)))))
 
 
 @lru_cache(maxsize=4)

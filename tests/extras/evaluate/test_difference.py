@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.difference import PSNR_CAP, Difference, ReferencePictures, pareto
-from glsplat.extras.evaluate.knobs import Drawn, Setting, base_config, settings_of
-from glsplat.extras.evaluate.sections.measure import _typical, measure
-from glsplat.extras.evaluate.subjects import Subject
+from glsplat.extras.evaluate.difference import PSNR_CAP, Difference, pareto, reference_pictures
 from glsplat.gl.context import Context
+from glsplat.renderer import Renderer
 from glsplat.splats import Splats
-from tests.scenes import cloud, limb, one_splat
+from tests.scenes import cloud, one_splat
 
 pytest.importorskip("flip_evaluator")
 
@@ -26,22 +21,19 @@ VIEW = Camera(look_at((0, 0, DISTANCE), (0, 0, 0)), pinhole(SIZE, SIZE), SIZE, S
 PIXEL = DISTANCE / VIEW.K[0, 0]
 """Metres of a pixel at the origin."""
 
-EXACT = RenderConfig(target="32f")
+EXACT = RenderConfig(target="32f", output="float32")
 
 
-def measured(context: Context, drawn: Splats, right: Splats, config: RenderConfig = EXACT) -> dict[str, Any]:
-    """The report's row for ``drawn`` where ``right`` was meant, seen by one camera."""
-    subject = Subject("a fault", drawn, SIZE, cameras=(VIEW,))
-    drawn = Drawn(config)
-    settings = [Setting("default", "default", drawn), Setting("default", "once more", replace(drawn, copy=1))]
-    (row, _) = measure(context, subject, settings, frames=2, compared=[6], truth=ReferencePictures(right))["settings"]
-    return row
+def measured(context: Context, drawn: Splats, right: Splats) -> Difference:
+    """Return the difference of a picture of ``drawn`` from ``right`` in float64, seen by one camera."""
+    with Renderer(drawn, size=(SIZE, SIZE), config=EXACT, context=context) as renderer:
+        return Difference.of(renderer.render([VIEW]), reference_pictures(right, [VIEW], None))
 
 
 @pytest.mark.gl
 def test_without_a_fault_nothing_is_reported(context: Context) -> None:
     row = measured(context, cloud(200), cloud(200))
-    assert row["psnr"] > 80 and row["maximum"] < 5e-3 and row["flip"] < 1e-3
+    assert row.psnr > 80 and row.maximum < 5e-3 and (row.flip or 0) < 1e-3
 
 
 @pytest.mark.gl
@@ -57,9 +49,9 @@ def test_a_splat_shifted_by_a_pixel(context: Context) -> None:
     # the steepest slope of a Gaussian is o exp(-1/2) / s
     steepest = opacity * np.exp(-0.5) / deviation
     row = measured(context, shifted, right)
-    assert row["psnr"] == pytest.approx(psnr, abs=0.05)
-    assert row["maximum"] == pytest.approx(steepest, rel=0.02)
-    assert row["flip"] > 10 * measured(context, right, right)["flip"]
+    assert row.psnr == pytest.approx(psnr, abs=0.05)
+    assert row.maximum == pytest.approx(steepest, rel=0.02)
+    assert row.flip is not None and row.flip > 10 * (measured(context, right, right).flip or 0)
 
 
 @pytest.mark.gl
@@ -74,34 +66,8 @@ def test_two_splats_drawn_in_the_wrong_order(context: Context) -> None:
 
     difference = a * b * (red - blue)
     row = measured(context, pair(-0.1), pair(0.1))
-    assert row["maximum"] == pytest.approx(np.abs(difference).max(), rel=1e-3)
-    assert row["psnr"] == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.01)
-
-
-@pytest.mark.check
-@pytest.mark.gl
-def test_the_grid_of_a_scene(context: Context) -> None:
-    """Only knobs the scene has; equal settings share one measurement; a cut-off costs what float64 says it does."""
-    base = base_config(context)
-    knobs = {s.knob for s in settings_of(Subject("static", cloud(10), 32), base)}
-    assert "influences" not in knobs and "SH degree" not in knobs and "order" in knobs
-    subject = Subject("limb", limb(100, degree=1), 32, moving=True)
-    settings = settings_of(subject, base, pulled=context.vertex_storage)
-    assert {"influences", "rotation", "SH degree"} <= {s.knob for s in settings}
-    assert ("records fetched" in {s.knob for s in settings}) == context.vertex_storage
-    result = measure(context, subject, settings, frames=3, compared=(5, 7))
-    rows = {(r["knob"], r["setting"]): r for r in result["settings"]}
-    same = rows["sort bits", "32"], rows["default", "default"]
-    assert same[0]["ms"] == same[1]["ms"] and same[0]["psnr"] == same[1]["psnr"] and same[1]["default"]
-    assert rows["default", "default"]["psnr"] > 65 > rows["extent cut-off (sigma)", "2.0"]["psnr"]
-    assert rows["influences", "1"]["psnr"] < rows["influences", "2"]["psnr"] < rows["influences", "all (4)"]["psnr"]
-    assert rows["JPEG", "q95 444"]["psnr"] > rows["JPEG", "q50 420"]["psnr"]
-    assert rows["resolution", "0.5 x"]["psnr"] < rows["resolution", "0.75 x"]["psnr"]
-    assert rows["order", "per_view"]["truth"] == "per_view" and rows["order", "per_view"]["psnr"] > 65
-    assert all(r["ms"]["p95"] >= r["ms"]["median"] > 0 for r in rows.values())
-    assert rows["default", "default"]["ratio"] == 1 == rows["sort bits", "32"]["ratio"]
-    assert rows["JPEG", "q80 420"]["ratio"] > 1
-    assert any(r["pareto"] for r in rows.values()) and not rows["default", "once more"]["pareto"]
+    assert row.maximum == pytest.approx(np.abs(difference).max(), rel=1e-3)
+    assert row.psnr == pytest.approx(-10 * np.log10((difference**2).mean()), abs=0.01)
 
 
 def test_difference_by_hand() -> None:
@@ -125,11 +91,3 @@ def test_pareto_by_hand() -> None:
     points = [(3.0, 50.0), (1.0, 30.0), (2.0, 30.0), (2.5, 40.0), (3.0, 45.0), (4.0, 50.0)]
     assert pareto(points) == [1, 3, 0]
     assert pareto([]) == []
-
-
-def test_what_repeats_itself_has_the_mean_over_its_phases() -> None:
-    series = [10.0, 2.0, 2.0, 4.0] * 3 + [10.0, 2.0]
-    assert _typical(series, 1) == 3.0 and _typical(series, 4) == 4.5
-    series[5] = 900.0  # one frame that something else held up
-    assert _typical(series, 4) == 4.5
-    assert _typical([3.0, 5.0], 8) == 4.0

@@ -18,7 +18,7 @@ import numpy as np
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
-from glsplat.extras.evaluate.frames import FOV, STAGES, Series
+from glsplat.extras.evaluate.frames import FOV, STAGES, Series, timed
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
@@ -139,12 +139,12 @@ def _along(
             row |= {"drawn": renderer.stats.drawn, "bytes": renderer.nbytes()}
             row["gpu_bytes"] = sum(row["bytes"].values())
             shown.append((row, renderer, show))
-        times: list[list[float]] = [[] for _ in shown]
+        times: list[list[tuple[float, float]]] = [[] for _ in shown]
         for frame in range(WARM_UP, WARM_UP + grid.frames):
             for (_, renderer, show), series in zip(shown, times, strict=True):
-                series.append(show(renderer, frame)["total"])
+                series.append(timed(lambda: show(renderer, frame))[0])  # noqa: B023 - called at once
     for (row, _, _), series in zip(shown, times, strict=True):
-        row["ms"] = asdict(Series.of(series))
+        row["ms"] = asdict(Series.of_times(series))
     return rows
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.config import RenderConfig, with_fields
-from glsplat.extras.evaluate.frames import STAGES, WARM_UP, Series
+from glsplat.extras.evaluate.frames import STAGES, WARM_UP, Series, timed
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -103,7 +103,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
     size = (subject.views(0)[0].width, subject.views(0)[0].height)
     quick: dict[str, Renderer] = {}
     staged: dict[str, Renderer] = {}
-    totals: dict[str, list[float]] = {side: [] for side in sides}
+    totals: dict[str, list[tuple[float, float]]] = {side: [] for side in sides}
     passes: dict[str, dict[str, list[float]]] = {side: {} for side in sides}
     buffers: dict[str, int] = {}
     try:
@@ -121,17 +121,17 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
             # whoever goes first finds colder caches: take turns
             for side in sorted(sides, reverse=bool(frame % 2)):
                 pose = _stirred(sides[side][0], frame)
-                quick[side].render(views, pose)
+                taken, _ = timed(lambda: quick[side].render(views, pose))  # noqa: B023 - called at once
                 images[side] = staged[side].render(views, pose)
                 if frame >= WARM_UP:
-                    totals[side].append(quick[side].timings["total"])
+                    totals[side].append(taken)
                     for stage, ms in staged[side].timings.items():
                         passes[side].setdefault(stage, []).append(ms)
             apart = max(apart, float(np.nan_to_num(np.abs(images["lean"] - images["full"]), nan=1e3).max()))
         row: dict[str, Any] = {"feature": feature.name, "how": feature.how}
         for side in sides:
             row[side] = {
-                "ms": asdict(Series.of(totals[side])),
+                "ms": asdict(Series.of_times(totals[side])),
                 "programs": quick[side].programs_compiled,
                 "passes": [stage for stage in STAGES if stage in passes[side]],
                 "stages_ms": {s: round(float(np.median(v)), 3) for s, v in passes[side].items() if s != "total"},
@@ -154,19 +154,20 @@ def unmoved(context: Context, subject: Subject, frames: int) -> dict[str, Any]:
     """Passes and time of a frame where everything moved and of one where nothing did."""
     size = (subject.views(0)[0].width, subject.views(0)[0].height)
     with Renderer(subject.scene, size=size, views=2, context=context) as renderer:
-        moved: list[float] = []
-        still: list[float] = []
+        moved: list[tuple[float, float]] = []
+        still: list[tuple[float, float]] = []
         stages: dict[str, list[str]] = {}
         for frame in range(WARM_UP + frames):
             for name, series in (("moved", moved), ("unmoved", still)):
-                renderer.render(subject.views(frame), subject.pose(frame))
+                views, pose = subject.views(frame), subject.pose(frame)
+                taken, _ = timed(lambda: renderer.render(views, pose))  # noqa: B023 - called at once
                 stages[name] = [stage for stage in STAGES if stage in renderer.timings]
                 if frame >= WARM_UP:
-                    series.append(renderer.timings["total"])
+                    series.append(taken)
     return {
         "scene": subject.name,
-        "moved_ms": asdict(Series.of(moved)),
-        "unmoved_ms": asdict(Series.of(still)),
+        "moved_ms": asdict(Series.of_times(moved)),
+        "unmoved_ms": asdict(Series.of_times(still)),
         "moved_passes": stages["moved"],
         "unmoved_passes": stages["unmoved"],
     }

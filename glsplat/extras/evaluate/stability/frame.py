@@ -7,18 +7,31 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat import reference
-from glsplat.avatar import Avatar
-from glsplat.camera import Camera, look_at, pinhole, sorting_camera, stereo_cameras
+from glsplat.camera import PAPER_FOV, Camera, look_at, pinhole, sorting_camera, stereo_cameras
 from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference
 from glsplat.gl.context import Context
 from glsplat.renderer.probe import Probe
+from glsplat.scene import SceneLike
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Case", "Outcome", "camera", "cloud", "frame_cases", "judge", "picture_case", "refused", "renderer"]
+__all__ = [
+    "Case",
+    "Outcome",
+    "camera",
+    "cloud",
+    "compared",
+    "frame_cases",
+    "head",
+    "judge",
+    "picture_case",
+    "refused",
+    "renderer",
+]
 
 SIZE = 64
 
@@ -69,15 +82,18 @@ def judge(cases: Sequence[Case], context: Context) -> list[dict[str, Any]]:
     return rows
 
 
-def camera(size: int = SIZE) -> Camera:
-    """Three metres in front of the origin."""
-    return Camera(look_at((0, 0, 3.0), (0, 0, 0)), pinhole(size, size), size, size)
+def camera(width: int = SIZE, height: int | None = None, fov: float = PAPER_FOV) -> Camera:
+    """Three metres in front of the origin; square without ``height``."""
+    height = width if height is None else height
+    return Camera(look_at((0, 0, 3.0), (0, 0, 0)), pinhole(width, height, fov), width, height)
 
 
-def renderer(scene: Splats | Avatar, context: Context, size: int = SIZE, views: int = 1, **config: Any) -> Probe:
+def renderer(
+    scene: SceneLike, context: Context, size: tuple[int, int] = (SIZE, SIZE), views: int = 1, **config: Any
+) -> Probe:
     """One whose pictures are the float target."""
     settings = with_fields(RenderConfig(output="float32", target="32f"), **config)
-    return Probe(scene, size=(size, size), views=views, config=settings, context=context)
+    return Probe(scene, size=size, views=views, config=settings, context=context)
 
 
 def cloud(count: int = 300, degree: int = 0, centre: Sequence[float] = (0, 0, 0)) -> Splats:
@@ -99,12 +115,16 @@ def picture_case(
     """The picture of ``scene`` is that of ``expected`` (itself) in float64, within the 32F gate."""
 
     def check(context: Context) -> Outcome:
-        with renderer(scene, context, views[0].width, len(views)) as drawn:
-            image = drawn.render(views)
-        error = Difference.of(image, reference.render(scene if expected is None else expected, views), flip=False)
-        return Outcome(bool(np.isfinite(image).all()) and error.contract, error.maximum, "of 1", f"{error.psnr:.1f} dB")
+        with renderer(scene, context, (views[0].width, views[0].height), len(views)) as drawn:
+            return compared(drawn.render(views), reference.render(scene if expected is None else expected, views))
 
     return Case("one frame", name, input_, behaviour, check)
+
+
+def compared(image: NDArray[np.float32], expected: NDArray[np.float64]) -> Outcome:
+    """Return whether a picture is within the 32F gate, with its largest error."""
+    error = Difference.of(image, expected, flip=False)
+    return Outcome(bool(np.isfinite(image).all()) and error.contract, error.maximum, "of 1", f"{error.psnr:.1f} dB")
 
 
 def frame_cases() -> list[Case]:
@@ -155,7 +175,7 @@ def frame_cases() -> list[Case]:
 
 def _whole_frames() -> list[Case]:
     exact, few = "as float64 has it", cloud()
-    pair = list(stereo_cameras(_head(3.0), 0.2, size=(SIZE, SIZE)))
+    pair = list(stereo_cameras(head(3.0), 0.2, size=(SIZE, SIZE)))
     ties = replace(cloud(2000), means=np.zeros((2000, 3), np.float32))
     bad = few.means.copy()
     bad[::7] = np.nan
@@ -213,7 +233,7 @@ def _counted(scene: Splats, reason: str) -> Callable[[Context], Outcome]:
 
 
 def _pair_is_singles(context: Context) -> Outcome:
-    scene, views = cloud(degree=1), list(stereo_cameras(_head(3.0), 0.2, size=(SIZE, SIZE)))
+    scene, views = cloud(degree=1), list(stereo_cameras(head(3.0), 0.2, size=(SIZE, SIZE)))
     with renderer(scene, context, views=2) as both, renderer(scene, context) as one:
         pair = both.render(views)
         alone = [one.in_order(sorting_camera(views), [view])[0] for view in views]
@@ -243,7 +263,8 @@ def refused(kind: type[GlsplatError], words: str, make: Callable[[], object]) ->
     return check
 
 
-def _head(distance: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    head = np.eye(4)
-    head[2, 3] = distance
-    return head
+def head(distance: float) -> NDArray[np.float64]:
+    """Return the pose [4, 4] of a head so many metres in front of the origin."""
+    pose = np.eye(4)
+    pose[2, 3] = distance
+    return pose

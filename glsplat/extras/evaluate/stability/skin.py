@@ -194,7 +194,7 @@ def _posed(
     def check(context: Context) -> Outcome:
         position = shape = 0.0
         rigid = True
-        with renderer(avatar, context, 1) as drawn:
+        with renderer(avatar, context, (1, 1)) as drawn:
             for pose in poses:
                 drawn.render([camera(1)], pose)
                 means, shapes = drawn.posed()
@@ -230,7 +230,7 @@ def _wrapper(context: Context) -> Outcome:
 
 def _full_turns(context: Context) -> Outcome:
     avatar, error = chain(300, 12), 0.0
-    with renderer(avatar, context, 1) as drawn:
+    with renderer(avatar, context, (1, 1)) as drawn:
         drawn.render([camera(1)], Pose.zero(12))
         rest, _ = drawn.posed()
         for axis in (*np.eye(3), *-np.eye(3)):
@@ -245,7 +245,7 @@ def _sweep(context: Context) -> Outcome:
     skin = Skin.create(np.tile([0, 1], (200, 1)), np.stack([half, 1 - half], -1), 2, 2)
     avatar = Avatar(chain(200, 2).splats, skeleton, skin)
     fastest, before = 0.0, None
-    with renderer(avatar, context, 1) as drawn:
+    with renderer(avatar, context, (1, 1)) as drawn:
         for degrees in np.arange(170, 190, SWEEP):
             drawn.render([camera(1)], _turned(2, 1, (0.3, 0.8, -0.5), degrees))
             now = _rotations(avatar.splats, drawn.posed()[1])
@@ -261,7 +261,7 @@ def _far(trans: tuple[float, float, float]) -> Callable[[Context], Outcome]:
         avatar = chain(300, 12)
         near = Pose(np.random.default_rng(3).normal(0, 0.5, (12, 3)), np.zeros(3))
         expected = reference.skin(avatar.splats, avatar.skin, near.bones(avatar.skeleton)).means
-        with renderer(avatar, context, 1) as drawn:
+        with renderer(avatar, context, (1, 1)) as drawn:
             drawn.render([camera(1)], replace(near, trans=np.array(trans)))
             error = _largest(drawn.posed()[0] - trans - expected)
         return Outcome(error <= POSITION, error, "m")

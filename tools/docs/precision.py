@@ -1,0 +1,150 @@
+"""Write docs/measured/work-precision.md: time against error of the settings that a user can choose.
+
+    glsplat avatar photo PICTURE --steps 0 -o out/person.glb
+    python -m tools.docs.measured precision --person out/person.glb --minutes 20
+
+Each scene is kept in out/measured/precision once it was measured on a quiet machine; a second run of the same commit
+goes on where the first one ended.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from apps.report.plots import precision_plot
+from glsplat.errors import GlsplatError
+from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, Way, advice, lpips_if_there, measure
+from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
+from glsplat.extras.evaluate.subjects import Subject, subjects_of
+from glsplat.gl.context import create_context
+from glsplat.io.files import replace_file
+from glsplat.io.provenance import commit
+from tests.conftest import SHARED_DATA
+
+SIZES = {512: 16, 1024: 8}
+"""Pixels a side -> measured frames; the larger size measures the candidates of the smaller one."""
+
+MOST_ROWS = 12  # of a table
+
+
+def scenes(person: Path) -> dict[str, tuple[str | None, int]]:
+    """Return name -> (file, which of its subjects)."""
+    splats = SHARED_DATA / "splats"
+    return {
+        "avatar": (None, 0),
+        "moving": (None, 1),
+        "person": (str(person), 1),
+        "plant": (str(splats / "plant.ply"), 0),
+        "playbot": (str(splats / "playbot_lod3.ply"), 0),
+    }
+
+
+def measured(folder: Path, person: Path, minutes: float) -> dict[str, list[dict[str, Any]]]:
+    """Return name -> results, a size each. Raises GlsplatError when the time is up, or the machine is not quiet."""
+    if not person.exists():
+        raise GlsplatError(
+            f"{person}: no such avatar; make it by glsplat avatar photo PICTURE --steps 0, or --person FILE"
+        )
+    end, context = time.monotonic() + 60 * minutes, create_context()
+    out: dict[str, list[dict[str, Any]]] = {}
+    lpips = lpips_if_there()
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (file, index) in scenes(person).items():
+        out[name] = []
+        for size, frames in SIZES.items():
+            kept = folder / f"{name}-{size}-{commit()}.json"
+            if not kept.exists():
+                if time.monotonic() > end:
+                    raise GlsplatError(f"{minutes:g} minutes are over before {kept.stem}; run the command again")
+                seeds = [_way(way) for way in out[name][0]["candidates"]] if out[name] else []
+                subject: Subject = subjects_of(file, size)[index]
+                start = time.perf_counter(), time.process_time()
+                result = measure(
+                    context, subject, frames, lpips, seeds, lambda text: print(f"  {text}", file=sys.stderr)
+                )
+                spent = time.perf_counter() - start[0], time.process_time() - start[1]
+                quiet = Quiet(**result["quiet"])
+                print(f"{kept.stem}: {spent[0]:.0f} s, {spent[1]:.0f} s of CPU; {quiet.words}", file=sys.stderr)
+                check_quiet(kept.stem, quiet)
+                replace_file(kept, [json.dumps(result).encode()])
+            out[name].append(json.loads(kept.read_text(encoding="utf-8")))
+    context.release()
+    return out
+
+
+def _say(text: str) -> None:
+    print(" ", text, file=sys.stderr, flush=True)
+
+
+def check_quiet(name: str, quiet: Quiet) -> None:
+    """Raise GlsplatError for a measurement that must not be committed."""
+    if not quiet.ok:
+        raise GlsplatError(
+            f"{name}: not written: expected a quiet machine (at most {MAX_SHARE:.0%}), got: {quiet.words}; "
+            "end other programs and run the command again"
+        )
+
+
+def page(results: dict[str, list[dict[str, Any]]], images: Path) -> Iterator[tuple[str, str, str]]:
+    """Yield name, about and markdown of each table, and write its picture."""
+    for name, sizes in results.items():
+        picture = f"precision-{name}.png"
+        replace_file(images / picture, [precision_plot(sizes)])
+        for index, result in enumerate(sizes):
+            width, height = result["size"]
+            about = (
+                f"{result['scene']}, {result['splats']:,} splats, {result['views']} x {width} x {height} pixels, "
+                f"{result['frames']} frames; {Quiet(**result['quiet']).words}."
+            )
+            image = f"\n\n![{result['scene']}](../images/{picture})" if index == len(sizes) - 1 else ""
+            yield f"{name}-{width}", about, table(result["rows"]) + "\n\n" + use(result) + image
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the fronts as markdown: the defaults of ``render`` and ``serve``, and of the rest as many as fit."""
+    marked = [row for row in rows if row["flip"] is not None and {"render", "serve"} & set(row["marks"])]
+    front = [row for row in rows if row["front"] and row["flip"] is not None and row not in marked]
+    front.sort(key=lambda row: row["ms"])
+    space = max(1, MOST_ROWS - len(marked))
+    step = max(1.0, (len(front) - 1) / max(1, space - 1))
+    chosen = [front[round(i * step)] for i in range(min(space, len(front)))]
+    lines = ["| setting | ms | 95 % | ms of CPU | PSNR, dB | FLIP | LPIPS | |", "|---|--:|--:|--:|--:|--:|--:|---|"]
+    for row in sorted([*marked, *chosen], key=lambda row: row["ms"]):
+        lpips = "" if row["lpips"] is None else f"{row['lpips']:.4f}"
+        notes = [f"default of `{mark}`" for mark in row["marks"]] + (["front"] if row["front"] else [])
+        times = (f"{row['ms']:.1f}", f"{row['low']:.1f} - {row['high']:.1f}", f"{row['cpu_ms']:.1f}")
+        cells = (row["words"], *times, f"{row['psnr']:.1f}", f"{row['flip']:.4f}", lpips, ", ".join(notes))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def use(result: dict[str, Any]) -> str:
+    """Return the options to paste as a paragraph."""
+    parts = []
+    for name, (words, row) in advice(result).items():
+        pasted = (
+            f"`glsplat render{''.join(f' {word}' for word in words)}`"
+            if name == "render"
+            else ("`glsplat serve` with " + ", ".join(f"`{line}`" for line in words))
+        )
+        parts.append(f"{pasted} ({row['ms']:.1f} ms{', visible' if row['visible'] else ''})")
+    return "Use " + ", ".join(parts) + "." if parts else ""
+
+
+def about_errors() -> str:
+    """Return how to read the page."""
+    return (
+        "Settings take turns frame by frame; a time is the median ratio to the default of the same turn. Errors are "
+        "against `glsplat/reference.py` in float64, in the box that the scene covers, of frame 31: PSNR of both views' "
+        "float picture (a JPEG: decoded), FLIP and LPIPS (AlexNet) of the left one. An error is not visible up to "
+        f"LPIPS {VISIBLE_LPIPS:g}, or without weights from {VISIBLE_PSNR:g} dB. Level of detail: `level 1` and coarser."
+    )
+
+
+def _way(values: dict[str, Any]) -> Way:
+    return Way(**{**values, "jpeg": values["jpeg"] and tuple(values["jpeg"])})
