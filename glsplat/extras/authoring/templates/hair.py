@@ -35,9 +35,9 @@ _LONG_M, _LONG_WIDE_M = 0.045, 0.02  # below the chin; the second if it is as wi
 _BOB_M = -0.03  # below the chin
 _AFRO_RATIO = 1.35  # of the hair's radius about the eyes to the skull's
 # what outlines do not tell: which short template looks best, and that most long hair hangs loose
-_PREFERENCE = {"short02": 0.1, "short04": -0.03, "braid01": -0.15}
+_PREFERENCE = {"short02": 0.1, "short04": -0.03, "braid01": -0.15, "bob02": -0.1}
 _WASTE_WEIGHT, _LONG_WASTE_WEIGHT = 0.4, 0.1  # long templates fall over the chest, where the picture may show cloth
-_TRIAL_POINTS = 6000
+_TRIAL_POINTS, _GRAIN_M = 6000, 0.008  # that try a template, and the cells that they cover
 _ROW_M = 0.005
 _MIN_EXTENT_M = 0.03  # aside, for a width to be compared
 _STRETCH = 0.75, 1.5  # of widths and heights
@@ -107,12 +107,12 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     part = replace(part, faces=part.faces[rows], uv=part.uv[rows])
     mesh = RiggedMesh(where, head.shot.mesh.skeleton, joints, weights, (part,))
     points = scattered(mesh, _TRIAL_POINTS, np.random.default_rng(0))[0].at(where)
-    stays, front = carved(head, seen, points)
+    stays, shown = carved(head, seen, points)
     # pixels of the seen hair that the template covers
-    grain = max(1, round(head.scale / 250))
+    grain = max(1, round(head.scale * _GRAIN_M))
     size = tuple(side // grain + 1 for side in seen.mask.shape)
     covered = np.zeros(size, np.uint8)
-    at = (head.shot.project(head.camera(points[stays & front])) / grain).astype(np.intp)
+    at = (head.shot.project(head.camera(points[stays & shown])) / grain).astype(np.intp)
     covered[at[:, 1].clip(0, size[0] - 1), at[:, 0].clip(0, size[1] - 1)] = 1
     covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero(seen.mask)
@@ -120,7 +120,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
         below = head.plane(np.stack([columns, rows], axis=1) + 0.5)[:, 1] < seen.hat
         rows, columns = rows[below], columns[below]
     share = float(covered[rows // grain, columns // grain].mean()) if len(rows) else 0.0
-    before = front & (head.camera(points)[:, 2] < head.camera_z)
+    before = shown & (head.camera(points)[:, 2] < head.camera_z)
     if seen.hat is not None:
         before &= head.plane_of(points)[:, 1] < seen.hat
     wasted = 1 - float((stays & before).sum()) / max(int(before.sum()), 1)
@@ -143,7 +143,7 @@ def scattered(mesh: RiggedMesh, count: int, rng: np.random.Generator) -> tuple[S
 
 
 def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
-    """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict, and which lie in front.
+    """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict, and which it may show.
 
     Points before skin or clothes that the picture shows go, so do those outside its outline and above a hat's rim.
     Long hair ends where the seen hair does, or a hand's breadth lower, where it goes behind the shoulders.
@@ -161,7 +161,7 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     stays = inside & (hair | ~(front | facing)) & (flat[:, 1] > _hair_end(seen) + locks)
     if seen.hat is not None:
         stays &= flat[:, 1] < seen.hat
-    return stays, front
+    return stays, front | hair
 
 
 def _hair_end(seen: SeenHair) -> float:
