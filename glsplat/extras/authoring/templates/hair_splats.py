@@ -18,6 +18,7 @@ from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.scatter import PHOTO_SAMPLER
 from glsplat.extras.authoring.templates.hair import FittedHair, carved, scattered
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
+from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear, to_srgb
 from glsplat.rotations import component_sums, lengths, unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -149,7 +150,8 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
     scalp = np.where(shown[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
     sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
-    unseen = ~on_head[near] & (shot.visibility[near] < 0.1) & (means[:, 1] > points[:, 1].min())
+    behind = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0
+    unseen = ~on_head[near] & (behind & (shot.visibility < 0.1))[near] & (means[:, 1] > points[:, 1].min())
     below = np.flatnonzero(unseen)
     below = below[tree.query(means[below])[0] < _CLOTH_REACH_M]
     sh[below, 0] = (to_srgb(_SCALP_SHADE * colour) - 0.5) / SH_C0
