@@ -41,6 +41,7 @@ _CONTRAST = 0.5, 1.3  # of the template's locks against the picture's
 _GUESS_RANGE = 0.35, 2.2  # of brightness against the picture's median
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.75  # of hair's colour, in its own shadow
 _SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
+_BULGE_M = 0.02  # of the dressed head over the bare one
 _MIN_VISIBILITY = 0.15
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -138,17 +139,20 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     on_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "neck", "jaw")])
     mine = np.flatnonzero(on_head[near])
     vertex = near[mine]
+    pictured = value_at(hair.seen.mask, shot.view.pixels[vertex])
     shown = shot.visibility[vertex] > _MIN_VISIBILITY
-    hairy = np.where(shown, value_at(hair.seen.mask, shot.view.pixels[vertex]), True)
+    hairy = ~shown | pictured
+    if hair.long or hair.seen.hat is not None:  # brims, and rims of the outline beside hair
+        hairy |= lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
     distance = np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0])  # a brim may bulge
     hairy &= distance < _SCALP_REACH_M
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
-    mine, vertex, shown = mine[hairy], vertex[hairy], shown[hairy]
+    mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]
     moved, sh = avatar.splats.means.copy(), avatar.splats.sh.copy()
     moved[mine] += head.bare[vertex] - rest[vertex]
     painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
-    scalp = np.where(shown[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
+    scalp = np.where(own[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
     sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
     behind = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0
     unseen = ~on_head[near] & (behind & (shot.visibility < 0.1))[near] & (means[:, 1] > points[:, 1].min())
