@@ -17,7 +17,7 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head", "vertices_of"]
+__all__ = ["BackOfHead", "back_of_head", "ears_of", "vertices_of"]
 
 F64 = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def back_of_head(
         colour += share[:, None] * (fallen_colour - colour)
     colour = np.where((hair_on_back > 0)[:, None], fallen_colour, colour)
     covered, hair_share = np.maximum(covered, hair_on_back), np.maximum(above * (head | neck), hair_on_back)
-    for ears in _ears_of(body):
+    for ears in ears_of(body):
         shown = np.flatnonzero(ears & visible)
         bare = shown[nearer_skin[shown]]
         if len(bare) > max(_BARE_EAR_FRACTION * len(shown), _MIN_VERTICES):
@@ -131,7 +131,7 @@ def back_of_head(
     return BackOfHead(covered, hair_share, colour)
 
 
-def _ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return [V] the vertices of the left and the right ear."""
     edges = body.neighbours.tocoo()
     length = np.linalg.norm(body.vertices[edges.row] - body.vertices[edges.col], axis=1)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
+from glsplat.extras.authoring.paint.head import ears_of
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.sample.cells import Cloud, avatar_of, skin_of, tessellate
@@ -139,9 +140,12 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     on_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "neck", "jaw")])
     mine = np.flatnonzero(on_head[near])
     vertex = near[mine]
-    pictured = value_at(hair.seen.mask, shot.view.pixels[vertex])
-    shown = shot.visibility[vertex] > _MIN_VISIBILITY
+    on_hair, visible = value_at(hair.seen.mask, shot.view.pixels), shot.visibility > _MIN_VISIBILITY
+    pictured, shown = on_hair[vertex], visible[vertex]
     hairy = ~shown | pictured
+    ears = np.any(ears_of(body), axis=0)
+    if 2 * on_hair[ears & visible].sum() < (ears & visible).sum():
+        hairy &= ~ears[vertex]  # both are skin, as painted
     if hair.long or hair.seen.hat is not None:  # brims, and rims of the outline beside hair
         hairy |= lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
     distance = np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0])  # a brim may bulge
