@@ -117,7 +117,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero(seen.mask)
     if seen.hat is not None:
-        below = head.plane(np.stack([columns, rows], axis=1) + 0.5)[:, 1] < seen.hat
+        below = head.plane(np.stack([columns, rows], axis=1).astype(np.float64) + 0.5)[:, 1] < seen.hat
         rows, columns = rows[below], columns[below]
     share = float(covered[rows // grain, columns // grain].mean()) if len(rows) else 0.0
     before = shown & (head.camera(points)[:, 2] < head.camera_z)
