@@ -62,8 +62,13 @@ class FittedHair:
 
 
 def fit_hair(head: HeadView, seen: SeenHair, names: tuple[str, ...]) -> FittedHair | None:
-    """Return the template among ``names`` that agrees best with the hair's length and outline; None without any."""
+    """Return the template among ``names`` that agrees best with the hair's length and outline.
+
+    None without any, and for short hair below a hat.
+    """
     length = _length(head, seen)
+    if length == "short" and seen.hat is not None:
+        return None  # little of it is seen, and a bald crown looks like a hat
     own = [name for name in _BY_LENGTH[length] if name in names]
     if "afro01" in own and _volume(head, seen) < _AFRO_RATIO:
         own.remove("afro01")

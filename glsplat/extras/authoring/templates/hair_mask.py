@@ -66,7 +66,8 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     worn = flanks.sum() > 0.15 * max(beside.sum(), 1) and _apart(flank, skin) > _MIN_WORN
     if _apart(crown, skin) < _MIN_UNLIKE_SKIN and not worn:
         return None
-    covered = worn and _apart(crown, flank) > _MIN_HAT  # by a hat, or not at all
+    # by a hat, unless the crown is the same hair in other light
+    covered = worn and min(_apart(crown, lit) for lit in _shaded(flank, (*_SHADES, 1.4, 2.0, 2.8))) > _MIN_HAT
     hair = flank if covered else crown
     like = np.min([away(shade) for shade in _shaded(hair, _SHADES)], axis=0)
     other = np.min([away(shade) for shade in _shaded(skin, (*_SHADES, 1.3))], axis=0)
