@@ -146,10 +146,10 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     ears = np.any(ears_of(body), axis=0)
     if 2 * on_hair[ears & visible].sum() < (ears & visible).sum():
         hairy &= ~ears[vertex]  # both are skin, as painted
-    if hair.long or hair.seen.hat is not None:  # brims, and rims of the outline beside hair
-        hairy |= lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
-    distance = np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0])  # a brim may bulge
-    hairy &= distance < _SCALP_REACH_M
+    hairy &= np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0]) < _SCALP_REACH_M
+    if hair.long:  # brims, and rims of the outline beside hair
+        bulge = lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
+        hairy |= bulge & (head.bare[vertex, 2] < head.middle[2])
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
     mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]
