@@ -35,7 +35,7 @@ HAIR_SPLATS = 8_000
 
 _SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85)  # less shows cracks, more blurs the locks
 _POINTS_PER_SPLAT = 32
-_MIN_ALPHA = 0.45
+_MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
 _CONTRAST = 0.5, 1.3  # of the template's locks against the picture's
@@ -53,7 +53,10 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     shot = head.shot
     spots, face, rgba = scattered(mesh, HAIR_SPLATS * _POINTS_PER_SPLAT, rng)
     points = spots.at(mesh.vertices)
-    keep = np.flatnonzero(carved(head, seen, points)[0] & (rgba[:, 3] > _MIN_ALPHA))
+    stays = carved(head, seen, points)[0]
+    share = np.bincount(face, stays) / np.maximum(np.bincount(face), 1)
+    stays &= share[face] > _MIN_FACE_FRACTION  # what is left of a carved lock would be dots
+    keep = np.flatnonzero(stays & (rgba[:, 3] > _MIN_ALPHA))
     area = float(triangle_areas(mesh.vertices, mesh.faces).sum()) * len(keep) / len(points)
     spots, face, rgba, points = spots.take(keep), face[keep], rgba[keep], _drawn_back(head, points[keep])
     # cards have two sides: the outer one counts
@@ -149,7 +152,7 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     hairy &= np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0]) < _SCALP_REACH_M
     if hair.long:  # brims, and rims of the outline beside hair
         bulge = lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
-        hairy |= bulge & (head.bare[vertex, 2] < head.middle[2])
+        hairy |= bulge & (head.bare[vertex, 2] < shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 2])
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
     mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]
