@@ -42,6 +42,7 @@ _CONTRAST = 0.5, 1.3  # of the template's locks against the picture's
 _GUESS_RANGE = 0.35, 2.2  # of brightness against the picture's median
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.75  # of hair's colour, in its own shadow
 _SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
+_MAX_SCALP_SIGMA_M = 0.005  # wider splats would show around the hair
 _BULGE_M = 0.02  # of the dressed head over the bare one
 _MIN_VISIBILITY = 0.15
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -158,6 +159,8 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]
     moved, sh = avatar.splats.means.copy(), avatar.splats.sh.copy()
     moved[mine] += head.bare[vertex] - rest[vertex]
+    scales = avatar.splats.scales.copy()
+    scales[mine] = np.minimum(scales[mine], _MAX_SCALP_SIGMA_M)
     painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
     scalp = np.where(own[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
     sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
@@ -166,4 +169,4 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     below = np.flatnonzero(unseen)
     below = below[tree.query(means[below])[0] < _CLOTH_REACH_M]
     sh[below, 0] = (to_srgb(_SCALP_SHADE * colour) - 0.5) / SH_C0
-    return replace(avatar, splats=replace(avatar.splats, means=moved, sh=sh))
+    return replace(avatar, splats=replace(avatar.splats, means=moved, scales=scales, sh=sh))
