@@ -76,6 +76,7 @@ WITHIN = {
         ["dress"],
         ["paint"],
         ["sample"],
+        ["templates"],
         ["optimize"],
         ["faces", "light"],
         ["finish"],

@@ -26,6 +26,7 @@ def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
         f"glsplat/extras/authoring/fit/{name}.json" for name in ("landmark_offsets", "hand_offsets", "face_places")
     }
     assert "glsplat/data/open_body.npz" in names and tables <= set(names)
+    assert len([n for n in names if n.startswith("glsplat/extras/authoring/templates/data/")]) == 16
     shaders = {p.name for p in (ROOT / "glsplat").rglob("*.glsl")}
     assert shaders == {Path(n).name for n in names if n.endswith(".glsl")}
     page = {p.relative_to(ROOT).as_posix() for p in (ROOT / "glsplat").glob("**/web/**/*") if p.is_file()}

@@ -11,14 +11,13 @@ from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.inpaint.strands import Strands, strands_of
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head", "vertices_of"]
+__all__ = ["BackOfHead", "back_of_head", "ears_of", "vertices_of"]
 
 F64 = NDArray[np.float64]
 
@@ -39,11 +38,9 @@ _MIN_VERTICES = 4
 _MIN_LONG_HAIR_FRACTION, _MIN_OUTLINE_HAIR_FRACTION = 0.15, 0.6  # of a row's vertices
 _BEHIND_JOINT_M = 0.02  # before the joints of head and neck: surface farther back is never visible
 _CAP_M = 0.05  # of the crown that the front does not show
-_CROWN_TO_CENTRE_M = 0.09  # from the crown down to the middle of the head's round part
 # the box of an ear in the zero pose and mean shape: |x| at least, y and z between
 _EAR_MIN_X_M, _EAR_Y_M, _EAR_Z_M = 0.055, (0.825, 0.9), (0.028, 0.078)
 _EAR_EDGE_M = 0.006  # mesh edges on ears are shorter
-_DETAIL_PER_SPREAD = 2.5  # detail of hair over the standard deviation of its brightness
 _BARE_EAR_FRACTION = 0.3  # of its visible vertices that are skin, at least, where no hair covers an ear
 
 
@@ -51,35 +48,23 @@ _BARE_EAR_FRACTION = 0.3  # of its visible vertices that are skin, at least, whe
 class BackOfHead:
     """Colours of a head behind the face; ``back_of_head`` makes one."""
 
-    rest: F64  # [V, 3] the dressed surface in the zero pose
     covered: F64  # [V] fraction of each vertex that is unseen hair or neck
     hair: F64  # [V] fraction of that which is hair
     colour: F64  # [V, 3] linear, without light
-    strands: Strands | None
-
-    @property
-    def detail(self) -> float:
-        """Detail from 0, plain hair, to 1."""
-        return 0.0 if self.strands is None else min(1.0, _DETAIL_PER_SPREAD * float(self.strands.texture.std()))
 
     def at(self, points: SurfacePoints) -> tuple[F64, F64]:
         """Return [M] the fraction of each point that is hair or neck, and its unlit linear colour [M, 3]."""
-        values = points.at(np.column_stack([self.covered, self.hair, self.colour]))
-        colour = values[:, 2:]
-        if self.strands is not None:
-            some = np.flatnonzero((values[:, 0] > 0) & (values[:, 1] > 0))
-            part = points.take(some)
-            colour[some] *= (1 + values[some, 1] * (self.strands.at(part.at(self.rest)) - 1))[:, None]
-        return values[:, 0].clip(0, 1), colour
+        values = points.at(np.column_stack([self.covered, self.colour]))
+        return values[:, 0].clip(0, 1), values[:, 1:]
 
 
 def back_of_head(
-    body: Body, shot: FittedPicture, light: Lamp, nape_colour: F64 | None = None, locks: bool = True
+    body: Body, shot: FittedPicture, light: Lamp, nape_colour: F64 | None = None, blended: bool = True
 ) -> BackOfHead:
     """Return hair as the front ``shot`` shows it beside the face, at the same heights all around.
 
     Long hair reaches down the back. Below the hair a head has ``nape_colour`` [3], linear and unlit; None: that of the
-    throat. ``locks=False`` leaves the hair smooth, which is faster.
+    throat. ``blended=False`` gives the hair one colour, which is faster.
     """
     rest = shot.mesh.vertices
     count = len(rest)
@@ -98,7 +83,7 @@ def back_of_head(
     clear = shot.visibility > _MIN_CLEAR_VISIBILITY
     throat, face, chest = neck & clear, head & face_vertices(body) & clear, trunk_vertices(body) & clear
     if not crown.any() or not throat.any() or not face.any():
-        return BackOfHead(rest, np.zeros(count), np.zeros(count), np.zeros((count, 3)), None)
+        return BackOfHead(np.zeros(count), np.zeros(count), np.zeros((count, 3)))
     hair, skin = np.median(look[crown], axis=0), np.median(look[face], axis=0)
     nearer_skin = _distance(look, hair) > _distance(look, skin)
     unlike_skin = _distance(look, skin) > _SKIN_FRACTION * _distance(hair, skin)  # hair below a hat is not like the hat
@@ -120,7 +105,7 @@ def back_of_head(
     if below_hat.sum() > _MIN_VERTICES:
         hair, fallen_colour = np.median(look[below_hat], axis=0), np.median(unlit[below_hat], axis=0)
     around = np.tile(hair**2, (count, 1))
-    if worn.any() and locks:
+    if worn.any() and blended:
         trust = shot.visibility * worn
         around[head | neck] = fill_smoothly(body, trust, trust[:, None] * unlit, True, some=head | neck)
     above = _ramp(rest[:, 1] - hair_end)
@@ -138,19 +123,15 @@ def back_of_head(
         colour += share[:, None] * (fallen_colour - colour)
     colour = np.where((hair_on_back > 0)[:, None], fallen_colour, colour)
     covered, hair_share = np.maximum(covered, hair_on_back), np.maximum(above * (head | neck), hair_on_back)
-    for ears in _ears_of(body):
+    for ears in ears_of(body):
         shown = np.flatnonzero(ears & visible)
         bare = shown[nearer_skin[shown]]
         if len(bare) > max(_BARE_EAR_FRACTION * len(shown), _MIN_VERTICES):
             colour[ears], hair_share[ears], covered[ears] = np.median(unlit[bare], axis=0), 0.0, 1.0
-    round_centre = np.array([middle[0], top - _CROWN_TO_CENTRE_M, middle[2]])
-    if not locks:
-        return BackOfHead(rest, covered, hair_share, colour, None)
-    strands = strands_of(shot, np.flatnonzero(head | (neck & (hair_on_back.max() > 0))), hair, skin, round_centre)
-    return BackOfHead(rest, covered, hair_share, colour, strands)
+    return BackOfHead(covered, hair_share, colour)
 
 
-def _ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def ears_of(body: Body) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return [V] the vertices of the left and the right ear."""
     edges = body.neighbours.tocoo()
     length = np.linalg.norm(body.vertices[edges.row] - body.vertices[edges.col], axis=1)

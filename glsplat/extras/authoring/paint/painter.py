@@ -137,9 +137,7 @@ class Painter:
             guess[some] += ((1 - trust) * (1 - mirror_share))[some, None] * (
                 self._sleeve_colours(points, some, shade) - guess[some]
             )
-        return guess, np.maximum.reduce(
-            [matched.detail * trust, other.detail * mirror_share, covered * self.head.detail]
-        )
+        return guess, np.maximum(matched.detail * trust, other.detail * mirror_share)
 
     def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
         """Return [K, 3] linear colours for ``some`` points of sleeves, taken from the trunk's cloth."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,11 +38,17 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
     Picture,
 )
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
+from glsplat.extras.authoring.templates.hair_mask import seen_hair
+from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
+from glsplat.extras.authoring.templates.head_view import head_view
+from glsplat.extras.authoring.templates.library import HAIR
 
 __all__ = ["MIN_TRUST", "PHONE_FOCAL_FACTOR", "SIDES", "Builtin"]
 
 SIDES = ("front", "back", "left", "right")
 _MIN_SPLATS_WITH_FACE = 8_000  # below, an avatar has none to spare for teeth and lashes
+_MIN_SPLATS_WITH_HAIR = 3 * HAIR_SPLATS
 _MIN_ARM_VISIBILITY = 0.4
 _MIN_HAND_PRESENCE, _MAX_WRIST_GAP = 0.8, 0.4  # the gap between the wrists of hand and arm, in forearms
 _LIGHT_POINTS = 20_000  # for the light and the unseen fraction of a mesh
@@ -62,12 +69,14 @@ class Builtin:
         """Return the avatar with the fit and the mesh it was made from."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
         loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
-        shots = with_hair(body, bald)
+        hair = _template_hair(body, fit, bald[0]) if options.splats >= _MIN_SPLATS_WITH_HAIR else None
+        shots = with_hair(body, bald) if hair is None else bald
         mesh = shots[0].mesh
         rng = np.random.default_rng(options.seed)
         face = run_in_background(lambda: moving_face(mesh)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
-        scattered = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng)
-        painter = painter_of(body, shots, scattered.points, looks)
+        covered, elsewhere = (None, 0) if hair is None else (covered_by_hair(hair), HAIR_SPLATS)
+        scattered = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
+        painter = painter_of(body, shots, even_points(mesh, _LIGHT_POINTS), looks)
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
@@ -77,6 +86,9 @@ class Builtin:
         avatar = fitted_to_photos(
             avatar, mesh, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
         )
+        if hair is not None:
+            avatar = with_template_hair(avatar, hair, painter.light, rng)
+            avatar = replace(avatar, meta={"templates": {"hair": f"{hair.name}, agreement {hair.agreement:.2f}"}})
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
@@ -100,6 +112,14 @@ class Builtin:
         mesh = bake(mesh, painter.colours, options.texture)
         options.progress("painting textures", 1.0)
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
+
+
+def _template_hair(body: Body, fit: BodyFit, front: FittedPicture) -> FittedHair | None:
+    """Return the hair of the ``front`` picture as a template; None where the painted head is the safer guess."""
+    head = head_view(body, fit, front)
+    seen = seen_hair(head)
+    hair = None if seen is None else fit_hair(head, seen, tuple(HAIR))
+    return hair if hair is not None and hair.agreement >= MIN_AGREEMENT else None
 
 
 class _Fitted(NamedTuple):

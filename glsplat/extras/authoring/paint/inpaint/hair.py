@@ -37,7 +37,7 @@ def with_hair(body: Body, shots: tuple[FittedPicture, ...]) -> tuple[FittedPictu
     front = shots[0]
     rest = front.mesh.vertices
     up = front.view.root[:, 1]
-    head = back_of_head(body, front, Lamp(np.array([0.0, 0.0, -1.0]), up, 0.0), locks=False)
+    head = back_of_head(body, front, Lamp(np.array([0.0, 0.0, -1.0]), up, 0.0), blended=False)
     hair = (head.covered * head.hair).clip(0, 1)
     of_head = body.skin & vertices_of(body, "head", "jaw")
     hanging = (hair > 0) & ~of_head & body.skin

@@ -1,4 +1,4 @@
-"""Unseen hair: as long as in front, behind the neck, and with locks."""
+"""Unseen hair: as long as in front, and behind the neck."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
-from glsplat.extras.authoring.paint.inpaint.quilt import quilt
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.sample.scatter import even_points
 from glsplat.meshes import vertex_normals
@@ -54,25 +53,3 @@ def test_long_hair_hangs_behind_the_neck_and_short_hair_does_not(monkeypatch: py
     assert len(colours) > 30 and (colours[:, 1] > 1.5 * colours[:, 0]).mean() > 0.9
     short = haired(monkeypatch, 0.9)
     assert with_hair(short.body, short.shots) == short.shots
-
-
-def test_a_quilt_has_the_textures_brightness_and_is_the_same_each_time() -> None:
-    rng = np.random.default_rng(2)
-    texture = np.repeat(rng.uniform(0.6, 1.4, (1, 48)), 40, axis=0).astype(np.float32)  # upright strands
-    known = np.ones(texture.shape, bool)
-    known[:8] = False
-    made = quilt(texture, known, (90, 130))
-    assert made is not None and made.shape == (90, 130)
-    assert abs(made.mean() - texture.mean()) < 0.1 and made.std() > 0.4 * texture.std()
-    down, across = np.abs(np.diff(made, axis=0)).mean(), np.abs(np.diff(made, axis=1)).mean()
-    assert across > 3 * down  # strands stay upright
-    again = quilt(texture, known, (90, 130))
-    assert again is not None and (again == made).all()
-
-
-def test_too_little_hair_makes_no_quilt() -> None:
-    texture = np.ones((30, 30), np.float32)
-    known = np.zeros((30, 30), bool)
-    known[4:10, 4:10] = True
-    assert quilt(texture, known, (40, 40)) is None
-    assert quilt(texture[:6, :6], np.ones((6, 6), bool), (40, 40)) is None

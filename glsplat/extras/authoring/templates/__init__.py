@@ -1,0 +1,1 @@
+"""Replace what a photograph does not show by templates, which are deformed and coloured as the photograph shows."""

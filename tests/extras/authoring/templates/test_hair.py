@@ -1,0 +1,110 @@
+"""Hair by templates: found in a made-up picture, chosen by its length, and grown where the picture shows none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+
+from glsplat.extras.authoring.sample.scatter import scatter
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
+from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
+from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
+from glsplat.extras.authoring.templates.head_view import HeadView, head_view
+from glsplat.extras.authoring.templates.library import HAIR, template
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.splats import SH_C0
+from tests.extras.authoring.paint.scene import photographed
+
+DARK = np.array([40, 25, 18])
+
+
+@cache
+def pictured(name: str | None) -> tuple[HeadView, np.ndarray]:
+    """Return the made-up person with dark hair of that template drawn into the picture, and where [H, W]."""
+    scene = photographed("front")
+    shot, body = scene.shots[0], scene.body
+    head = head_view(body, scene.fit, shot)
+    drawn = np.zeros(shot.mask.shape, np.uint8)
+    if name is not None:
+        own = template(name)
+        skull = body.vertices[head.skull]
+        where = own.vertices - skull.mean(axis=0) + head.middle
+        points = where[own.parts[0].faces].mean(axis=1)
+        points = np.concatenate([points, (points[:, None] + where[own.parts[0].faces]).reshape(-1, 3) / 2])
+        there = head.camera(points[points[:, 1] > head.middle[1] - 0.35])
+        pixels = shot.project(there)
+        pixels = pixels[there[:, 2] < head.body_z(pixels) + 0.01].astype(int)
+        drawn[pixels[:, 1], pixels[:, 0]] = 1
+        drawn = cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    hair = drawn > 0
+    noise = np.random.default_rng(0).normal(0, 4, (int(hair.sum()), 1))
+    rgb = shot.rgb.copy()
+    rgb[hair] = (DARK + noise).clip(0, 255).astype(np.uint8)
+    return head_view(body, scene.fit, replace(shot, rgb=rgb, mask=shot.mask | hair)), hair
+
+
+@cache
+def fitted(name: str) -> tuple[SeenHair, FittedHair]:
+    """Return the hair of the picture with that template, found and fitted."""
+    head, _ = pictured(name)
+    seen = seen_hair(head)
+    assert seen is not None
+    hair = fit_hair(head, seen, tuple(HAIR))
+    assert hair is not None
+    return seen, hair
+
+
+def test_hair_is_found_by_its_colour_and_a_bald_head_has_none() -> None:
+    for name in ("short02", "long01"):
+        true, seen = pictured(name)[1], fitted(name)[0].mask
+        assert (true & seen).sum() > 0.85 * (true | seen).sum()
+    assert seen_hair(pictured(None)[0]) is None
+
+
+def test_template_is_chosen_by_length_and_agrees() -> None:
+    short, long = fitted("short02")[1], fitted("long01")[1]
+    assert short.name.startswith("short") and not short.long and long.name == "long01" and long.long
+    assert min(short.agreement, long.agreement) > MIN_AGREEMENT
+    head, seen = short.head, short.seen
+    beside = replace(seen, mask=np.roll(seen.mask, 80, axis=1))  # hair that is not on the head agrees with nothing
+    wrong = fit_hair(head, beside, tuple(HAIR))
+    assert wrong is not None and wrong.agreement < short.agreement - 0.3
+
+
+def test_long_hair_follows_the_head_above_and_the_back_below() -> None:
+    mesh = fitted("long01")[1].mesh
+    assert np.allclose(mesh.weights.sum(axis=1), 1)
+    of_head = (mesh.weights * (mesh.joints == JOINT_NAMES.index("head"))).sum(axis=1)
+    joints = mesh.skeleton.joints
+    neck, chest = (joints[JOINT_NAMES.index(name), 1] for name in ("neck", "spine3"))
+    height = mesh.vertices[:, 1]
+    assert (of_head[height > neck + 0.05] == 1).all() and (of_head[height < chest] == 0).all()
+    order = np.argsort(height)
+    steps = np.abs(np.diff(of_head[order])) / np.maximum(np.diff(height[order]), 0.002)
+    assert steps.max() < 15  # a metre: nothing tears
+
+
+def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
+    scene, hair = photographed("front"), fitted("long01")[1]
+    rng = np.random.default_rng(0)
+    covered = covered_by_hair(hair)
+    even = scatter(scene.mesh, 24_000, np.random.default_rng(0))
+    scattered = scatter(scene.mesh, 24_000, rng, covered, HAIR_SPLATS)
+    zones = [[zone.splats for zone in each.zones] for each in (even, scattered)]  # the rest, both hands, the head
+    assert sum(zones[1]) == 24_000 - HAIR_SPLATS and zones[0][1:3] == zones[1][1:3] and zones[1][3] < zones[0][3]
+    bare = scattered.avatar(
+        scene.mesh, np.full((len(scattered.density), 3), 0.6), np.zeros(len(scattered.density)), rng
+    )
+    made = with_template_hair(bare, hair, scene.light, rng)
+    grown = made.splats.means[len(bare.splats) :]
+    assert 0.99 * HAIR_SPLATS < len(grown) <= HAIR_SPLATS
+    rgb = made.splats.sh[len(bare.splats) :, 0] * SH_C0 + 0.5
+    assert np.abs(np.median(rgb, axis=0) - DARK / 255).max() < 0.08
+    eyes, middle = hair.head.sizes.eyes_rest, hair.head.middle
+    face = (np.abs(grown[:, 0]) < 0.03) & (np.abs(grown[:, 1] - eyes + 0.04) < 0.04) & (grown[:, 2] > middle[2] + 0.05)
+    assert not face.any()
+    back = grown[grown[:, 2] < middle[2]]
+    assert back[:, 1].min() < middle[1] - 0.25  # it hangs
