@@ -13,6 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
+from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import matrix_quaternions, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes
@@ -26,7 +27,6 @@ __all__ = [
     "ExtraSplats",
     "add_splats",
     "axes_along",
-    "merge_avatars",
     "with_brow_hairs",
     "with_lashes",
     "with_strands",
@@ -281,32 +281,6 @@ def add_splats(avatar: Avatar, mesh: RiggedMesh, splats: ExtraSplats) -> Avatar:
     if mesh.morphs is not None:
         extra_avatar = with_shapes(extra_avatar, mesh, splats.faces)
     return merge_avatars(avatar, extra_avatar)
-
-
-def merge_avatars(avatar: Avatar, other: Avatar) -> Avatar:
-    """Return both avatars in one, on the first one's skeleton; without levels and cones."""
-    pair = [avatar.splats, other.splats]
-    keys = ("means", "quats", "scales", "opacities", "sh")
-    splats = Splats.create(*(np.concatenate([getattr(s, k) for s in pair]) for k in keys), antialias=pair[0].antialias)
-    skins = [avatar.skin, other.skin]
-    skin = Skin(
-        np.concatenate([one.joints for one in skins]).astype(skins[0].joints.dtype),
-        np.concatenate([one.weights for one in skins]),
-    )
-    shapes = avatar.shapes
-    if shapes is not None and other.shapes is not None:
-        assert shapes.names == other.shapes.names
-        both = (shapes, other.shapes)
-        shapes = Shapes.create(
-            shapes.names,
-            len(splats),
-            splats=np.concatenate([shapes.rows, other.shapes.rows + len(avatar.splats)]),
-            targets=np.concatenate([one.targets for one in both]),
-            moves=np.concatenate([one.metres for one in both]),
-            bends=np.concatenate([one.bends for one in both]) * BEND,
-            limits=shapes.limits,
-        )
-    return replace(avatar, splats=splats, skin=skin, shapes=shapes, levels=())
 
 
 def axes_along(first: F64, third: F64) -> F64:

@@ -24,13 +24,13 @@ from glsplat.extras.authoring.faces.lashes_and_hair import (
     ExtraSplats,
     add_splats,
     axes_along,
-    merge_avatars,
 )
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.sample.cells import SamplerConfig
+from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors

@@ -173,11 +173,10 @@ def painter_of(
 ) -> Painter:
     """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
-    Light and cloth are estimated at ``points``, which should lie evenly over the surface. ``shod`` is the body with
+    Light and cloth are estimated at ``points``, which should lie evenly over its surface. ``shod`` is the body with
     shoes, if it has any.
     """
     front = shots[0]
-    points = points.take(points.corners[:, 0] < len(body.vertices))
     start_front = run_in_background(lambda: Front(front.mesh))
     sample = front.sample_surface(points)
     normals, up = points.directions(front.normals), front.view.root[:, 1]

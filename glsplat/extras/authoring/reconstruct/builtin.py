@@ -40,13 +40,18 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
     Picture,
 )
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
-from glsplat.extras.authoring.templates.library import template
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
+from glsplat.extras.authoring.templates.hair_mask import seen_hair
+from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
+from glsplat.extras.authoring.templates.head_view import head_view
+from glsplat.extras.authoring.templates.library import HAIR, template
 from glsplat.meshes import RiggedMesh
 
 __all__ = ["MIN_TRUST", "PHONE_FOCAL_FACTOR", "SIDES", "Builtin"]
 
 SIDES = ("front", "back", "left", "right")
 _MIN_SPLATS_WITH_FACE = 8_000  # below, an avatar has none to spare for teeth and lashes
+_MIN_SPLATS_WITH_HAIR = 3 * HAIR_SPLATS
 _MIN_ARM_VISIBILITY = 0.4
 _MIN_HAND_PRESENCE, _MAX_WRIST_GAP = 0.8, 0.4  # the gap between the wrists of hand and arm, in forearms
 _LIGHT_POINTS = 20_000  # for the light and the unseen fraction of a mesh
@@ -67,14 +72,18 @@ class Builtin:
         """Return the avatar with the fit and the mesh it was made from."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
         loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
-        shots = with_hair(body, bald)
+        hair = _template_hair(body, fit, bald[0]) if options.splats >= _MIN_SPLATS_WITH_HAIR else None
+        shots = with_hair(body, bald) if hair is None else bald
         mesh = shots[0].mesh
         shod, footwear = _shod(body, fit, shots[0])
-        whole = shod or mesh
+        whole, notes = shod or mesh, {"shoes": footwear}
         rng = np.random.default_rng(options.seed)
         face = run_in_background(lambda: moving_face(whole)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
-        scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng)
-        painter = painter_of(body, shots, scattered.points, looks, shod)
+        covered, elsewhere = (None, 0) if hair is None else (covered_by_hair(hair), HAIR_SPLATS)
+        if covered is not None:
+            covered = np.pad(covered, (0, len(whole.vertices) - len(covered)))
+        scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
+        painter = painter_of(body, shots, even_points(mesh, _LIGHT_POINTS), looks, shod)
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
@@ -84,6 +93,9 @@ class Builtin:
         avatar = fitted_to_photos(
             avatar, whole, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
         )
+        if hair is not None:
+            avatar = with_template_hair(avatar, hair, painter.light, rng)
+            notes["hair"] = f"{hair.name}, agreement {hair.agreement:.2f}"
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
@@ -93,7 +105,7 @@ class Builtin:
             loaded()
             avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
-        avatar = replace(avatar, meta=dict(avatar.meta) | {"shoes": footwear})
+        avatar = replace(avatar, meta=dict(avatar.meta) | {"templates": notes})
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
@@ -107,9 +119,17 @@ class Builtin:
         unseen = float((painter.paint(even).visibility < MIN_TRUST).mean())
         options.progress("painting textures", 0.5)
         mesh = bake(shod or mesh, painter.colours, options.texture)
-        mesh = replace(mesh, meta=dict(mesh.meta) | {"shoes": footwear})
+        mesh = replace(mesh, meta=dict(mesh.meta) | {"templates": {"shoes": footwear}})
         options.progress("painting textures", 1.0)
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
+
+
+def _template_hair(body: Body, fit: BodyFit, front: FittedPicture) -> FittedHair | None:
+    """Return the hair of the ``front`` picture as a template; None where the painted head is the safer guess."""
+    head = head_view(body, fit, front)
+    seen = seen_hair(head)
+    hair = None if seen is None else fit_hair(head, seen, tuple(HAIR))
+    return hair if hair is not None and hair.agreement >= MIN_AGREEMENT else None
 
 
 class _Fitted(NamedTuple):

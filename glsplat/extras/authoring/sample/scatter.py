@@ -22,6 +22,8 @@ F64 = NDArray[np.float64]
 PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, inset=0.002, round_off=8, shoe_boost=2.0)
 """Fewer samples and rounds than for a textured mesh: faster, and a photograph has less detail."""
 
+_COVERED_DENSITY = 0.3  # of splats under hair, over that of bare surface
+
 
 class Zone(NamedTuple):
     """A part of the surface with its own number of splats."""
@@ -73,14 +75,31 @@ class Scatter:
         return avatar_of([cells[zone] for zone in range(len(prepared))], mesh, PHOTO_SAMPLER.opacity)
 
 
-def scatter(mesh: RiggedMesh, splats: int, rng: np.random.Generator) -> Scatter:
-    """Return points for ``splats`` splats, in proportion to area and density, stratified over the triangles."""
+def scatter(
+    mesh: RiggedMesh,
+    splats: int,
+    rng: np.random.Generator,
+    covered: NDArray[np.bool_] | None = None,  # [V] surface under another, which needs few splats
+    elsewhere: int = 0,  # of ``splats``: on that other surface
+) -> Scatter:
+    """Return points for ``splats - elsewhere`` splats, by area and density, stratified over the triangles.
+
+    Splats elsewhere come from the covered surface, and the rest from the body: hands and faces keep theirs.
+    """
     faces = mesh.faces
     area = triangle_areas(mesh.vertices, mesh.faces)
-    density = face_densities(mesh, PHOTO_SAMPLER)
+    density = whole = face_densities(mesh, PHOTO_SAMPLER)
+    if covered is not None:
+        density = whole * np.where(covered[faces].all(axis=1), _COVERED_DENSITY, 1.0)
     label = face_zones(mesh)
+    kept = {
+        int(zone): (area * density)[label == zone].sum() / (area * whole)[label == zone].sum()
+        for zone in np.unique(label)
+    }
+    counts = {zone: round(count * kept[zone]) for zone, count in allot(splats, label, PHOTO_SAMPLER)}
+    counts[0] = splats - elsewhere - sum(count for zone, count in counts.items() if zone)
     chosen, weights, zones, first = [], [], [], 0
-    for zone, count in allot(splats, label, PHOTO_SAMPLER):
+    for zone, count in counts.items():
         mine = np.flatnonzero((label == zone) & (area > 0))
         total = np.cumsum(area[mine] * density[mine])
         points_wanted = count * PHOTO_SAMPLER.samples

@@ -89,19 +89,6 @@ def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
 
 
-def test_a_hands_brightness_is_ignored() -> None:
-    """Palms and nails are brighter than the backs of hands, and are believed; another hue is not."""
-    back = np.array([[0.08, 0.04, 0.03]])
-    one = np.ones(1)
-    hand, leg = (
-        Material(back, 0.06 * one, one, np.zeros(1, bool), np.full((1, 3), np.nan), np.array([is_hand]))
-        for is_hand in (True, False)
-    )
-    palm, cloth = 2.5 * back, np.array([[0.05, 0.08, 0.25]])
-    assert hand.likeness(palm) == 1 and leg.likeness(palm) == 0
-    assert hand.likeness(cloth) == 0 and hand.likeness(25 * back) == 0
-
-
 def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
     """Deep inside of an arm, too: the fit may have it beside its place."""
     scene = photographed("front")

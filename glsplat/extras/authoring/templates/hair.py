@@ -1,0 +1,284 @@
+"""Choose a template for hair that the front picture shows, and deform it to the outline of that hair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
+
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
+from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.templates.hair_mask import SeenHair
+from glsplat.extras.authoring.templates.head_view import HeadView, value_at
+from glsplat.extras.authoring.templates.library import template
+from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.skinning.smplx import JOINT_NAMES
+
+__all__ = ["MIN_AGREEMENT", "FittedHair", "carved", "fit_hair", "scattered"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+MIN_AGREEMENT = 0.45
+"""Of a template; below it the hair was mistaken, or no template is like it."""
+
+_BY_LENGTH = {
+    "long": ("long01", "braid01", "bob02"),
+    "bob": ("bob01", "bob02", "short03"),
+    "short": ("short01", "short02", "short03", "short04", "afro01"),
+}
+_LONG_M, _LONG_WIDE_M = 0.045, 0.02  # below the chin; the second if it is as wide as the head there
+_BOB_M = -0.03  # below the chin
+_AFRO_RATIO = 1.35  # of the hair's radius about the eyes to the skull's
+# what outlines do not tell: which short template looks best, and that most long hair hangs loose
+_PREFERENCE = {"short02": 0.1, "short04": -0.03, "braid01": -0.15}
+_WASTE_WEIGHT, _LONG_WASTE_WEIGHT = 0.4, 0.1  # long templates fall over the chest, where the picture may show cloth
+_TRIAL_POINTS = 6000
+_ROW_M = 0.005
+_MIN_EXTENT_M = 0.03  # aside, for a width to be compared
+_STRETCH = 0.75, 1.5  # of widths and heights
+_BEHIND_SHOULDERS_M = 0.12  # that long hair goes on where the front loses it
+_MAX_LOCK_M = 0.03  # from that end
+_OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
+_HAIR_PLAY_M = 0.006
+_SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
+_CHAIN = ("spine1", "spine2", "spine3", "head")  # that hair follows, by height
+
+
+@dataclass(frozen=True, eq=False)
+class FittedHair:
+    """A template fitted to the hair of the front picture."""
+
+    name: str
+    agreement: float  # share of the seen hair that it covers, less what is carved away and how much it was stretched
+    long: bool
+    head: HeadView
+    seen: SeenHair
+    mesh: RiggedMesh  # in the zero pose, bound to head, neck and back
+
+
+def fit_hair(head: HeadView, seen: SeenHair, names: tuple[str, ...]) -> FittedHair | None:
+    """Return the template among ``names`` that agrees best with the hair's length and outline; None without any."""
+    length = _length(head, seen)
+    own = [name for name in _BY_LENGTH[length] if name in names]
+    if "afro01" in own and _volume(head, seen) < _AFRO_RATIO:
+        own.remove("afro01")
+    fitted = [_fitted(head, seen, name, length == "long") for name in own]
+    return max(fitted, key=lambda hair: hair.agreement, default=None)
+
+
+def _length(head: HeadView, seen: SeenHair) -> str:
+    """Return short, bob or long, by the lowest hair against the chin."""
+    sizes, aside, up = head.sizes, np.abs(seen.plane[:, 0]), seen.plane[:, 1]
+    low = np.quantile(up, 0.02)
+    below, end = sizes.chin - low, aside[up < low + 0.015].max()
+    if below > _LONG_M or (below > _LONG_WIDE_M and end > 0.95 * sizes.half_width):
+        return "long"
+    beside = (aside > 0.8 * sizes.half_width) & (up < sizes.eyes - 0.03)
+    return "bob" if below > _BOB_M and beside.mean() > 0.06 else "short"
+
+
+def _volume(head: HeadView, seen: SeenHair) -> float:
+    """Return the radius of the hair above the eyes over the bare skull's; 1 below a hat."""
+    if seen.hat is not None:
+        return 1.0
+    skull = head.plane_of(head.bare[head.skull])
+    radii = [
+        np.quantile(np.hypot(*(flat[flat[:, 1] > head.sizes.eyes + 0.03] - (0, head.sizes.eyes)).T), 0.98)
+        for flat in (seen.plane, skull)
+    ]
+    return float(radii[0] / radii[1])
+
+
+def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair:
+    """Return the template ``name`` with the outline of the seen hair, and how well it agrees."""
+    body, own = head.body, template(name)
+    where = _outside(head, _carried(own.vertices, body.vertices[head.skull], head.bare[head.skull]))
+    where, change = _with_outline(head, seen, where)
+    where = _outside(head, where)
+    joints, weights = _binding(head, where)
+    (part,) = own.parts
+    reached = head.plane_of(where)[:, 1] > _hair_end(seen) - _MAX_LOCK_M
+    rows = np.flatnonzero(reached[part.faces].any(axis=1))
+    part = replace(part, faces=part.faces[rows], uv=part.uv[rows])
+    mesh = RiggedMesh(where, head.shot.mesh.skeleton, joints, weights, (part,))
+    points = scattered(mesh, _TRIAL_POINTS, np.random.default_rng(0))[0].at(where)
+    stays, front = carved(head, seen, points)
+    # pixels of the seen hair that the template covers
+    grain = max(1, round(head.scale / 250))
+    size = tuple(side // grain + 1 for side in seen.mask.shape)
+    covered = np.zeros(size, np.uint8)
+    at = (head.shot.project(head.camera(points[stays & front])) / grain).astype(np.intp)
+    covered[at[:, 1].clip(0, size[0] - 1), at[:, 0].clip(0, size[1] - 1)] = 1
+    covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    rows, columns = np.nonzero(seen.mask)
+    if seen.hat is not None:
+        below = head.plane(np.stack([columns, rows], axis=1) + 0.5)[:, 1] < seen.hat
+        rows, columns = rows[below], columns[below]
+    share = float(covered[rows // grain, columns // grain].mean()) if len(rows) else 0.0
+    before = front & (head.camera(points)[:, 2] < head.camera_z)
+    if seen.hat is not None:
+        before &= head.plane_of(points)[:, 1] < seen.hat
+    wasted = 1 - float((stays & before).sum()) / max(int(before.sum()), 1)
+    agreement = (
+        share - (_LONG_WASTE_WEIGHT if long else _WASTE_WEIGHT) * wasted - 0.5 * change + _PREFERENCE.get(name, 0.0)
+    )
+    return FittedHair(name, round(agreement, 3), long, head, seen, mesh)
+
+
+def scattered(mesh: RiggedMesh, count: int, rng: np.random.Generator) -> tuple[SurfacePoints, NDArray[np.intp], F64]:
+    """Return ``count`` points, evenly by area, with their faces [count] and texture colours [count, 4]."""
+    (part,) = mesh.parts
+    total = np.cumsum(triangle_areas(mesh.vertices, part.faces))
+    face = np.searchsorted(total, (np.arange(count) + rng.random()) / count * total[-1]).clip(0, len(total) - 1)
+    edge, along = rng.random((2, count))
+    root = np.sqrt(edge)
+    share = np.stack([1 - root, root * (1 - along), root * along], axis=1)
+    rgba = part.sample(np.einsum("nk,nkc->nc", share, part.uv[face]))
+    return SurfacePoints(part.faces[face].astype(np.intp), share), face, rgba
+
+
+def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
+    """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict, and which lie in front.
+
+    Points before skin or clothes that the picture shows go, so do those outside its outline and above a hat's rim.
+    Long hair ends where the seen hair does, or a hand's breadth lower, where it goes behind the shoulders.
+    """
+    there = head.camera(points)
+    pixels = head.shot.project(there)
+    flat = head.plane(pixels)
+    inside = value_at(_grown(head, head.shot.mask, _OUTLINE_PLAY_M), pixels)
+    hair = value_at(_grown(head, seen.mask, _HAIR_PLAY_M), pixels)
+    front = there[:, 2] < head.body_z(pixels) + 0.006
+    facing = (there[:, 2] < head.camera_z + 0.02) & (flat[:, 1] > head.sizes.chin - 0.02)
+    locks = (
+        0.012 * np.sin(points[:, 0] * 210) + 0.009 * np.sin(points[:, 0] * 530 + 1) + 0.01 * np.sin(points[:, 2] * 300)
+    )
+    stays = inside & (hair | ~(front | facing)) & (flat[:, 1] > _hair_end(seen) + locks)
+    if seen.hat is not None:
+        stays &= flat[:, 1] < seen.hat
+    return stays, front
+
+
+def _hair_end(seen: SeenHair) -> float:
+    """Return the height in the head's plane down to which hair hangs on a back."""
+    return float(np.quantile(seen.plane[:, 1], 0.01)) - _BEHIND_SHOULDERS_M
+
+
+def _grown(head: HeadView, mask: Bools, metres: float) -> Bools:
+    side = 2 * max(1, int(metres * head.scale)) + 1
+    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+
+
+def _carried(points: F64, source: F64, target: F64) -> F64:
+    """Return ``points`` [N, 3] moved as ``source`` [K, 3] to ``target``: affinely, and near it by what that leaves."""
+    ones = np.ones((len(source), 1))
+    affine = np.linalg.lstsq(np.hstack([source, ones]), target, rcond=None)[0]
+    left = target - np.hstack([source, ones]) @ affine
+    distance, near = cKDTree(source).query(points, k=8)
+    weight = 1 / (distance**2 + 1e-5)
+    weight *= np.exp(-distance[:, :1] / 0.05) / weight.sum(axis=1, keepdims=True)
+    return np.asarray(
+        np.hstack([points, np.ones((len(points), 1))]) @ affine + np.einsum("nk,nkc->nc", weight, left[near])
+    )
+
+
+def _outside(head: HeadView, points: F64) -> F64:
+    """Return points moved out of the bare head and the dressed body."""
+    mesh, out = head.shot.mesh, points.copy()
+    low = points[:, 1] < mesh.skeleton.joints[JOINT_NAMES.index("neck"), 1] + 0.03
+    skin = head.body.skin
+    for some, vertices, gap in ((~low, head.bare, _SKULL_GAP_M), (low, mesh.vertices, _CLOTH_GAP_M)):
+        if not some.any():
+            continue
+        normals = vertex_normals(vertices, mesh.faces)[skin]
+        distance, near = cKDTree(vertices[skin]).query(points[some], k=4)
+        weight = 1 / (distance**2 + 1e-6)
+        weight /= weight.sum(axis=1, keepdims=True)
+        base, normal = (np.einsum("nk,nkc->nc", weight, each[near]) for each in (vertices[skin], normals))
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-9
+        height = ((points[some] - base) * normal).sum(axis=1)
+        out[some] += (gap - height).clip(0, 0.06)[:, None] * normal
+    return out
+
+
+def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> tuple[F64, float]:
+    """Return vertices as wide as the seen hair at each height, and the mean stretch of their widths.
+
+    Above the eyes, the outline is stretched as a curve about them. The hair's depth follows its width; hair that
+    hangs keeps it.
+    """
+    sizes = head.sizes
+    flat = head.plane_of(where)
+    tall = np.ones(len(where))
+    upper = flat[:, 1] > sizes.eyes
+    if seen.hat is None:
+        high = np.quantile(seen.plane[:, 1], 0.995) - sizes.eyes
+        tall[upper] = np.clip(high / (flat[:, 1].max() - sizes.eyes), 0.8, 1.5)
+        flat[upper, 1] = sizes.eyes + (flat[upper, 1] - sizes.eyes) * tall[upper]
+    low = np.minimum(flat[:, 1], sizes.eyes)
+    rows = np.arange(min(low.min(), seen.plane[:, 1].min()), sizes.eyes + _ROW_M, _ROW_M)
+    mine, photo = _row_ends(flat, rows, 0.0), _row_ends(seen.plane, rows, 0.01)
+    scales = np.full((len(rows), 2), np.nan)
+    for side, sign in ((0, -1), (1, 1)):
+        good = (sign * photo[:, side] > _MIN_EXTENT_M) & (sign * mine[:, side] > _MIN_EXTENT_M)
+        if good.sum() > 3:
+            ratio = (photo[good, side] / mine[good, side]).clip(*_STRETCH)
+            scales[:, side] = gaussian_filter1d(np.interp(rows, rows[good], ratio), 0.015 / _ROW_M)
+    scales = np.where(np.isnan(scales), scales[:, ::-1], scales)
+    scales = np.where(np.isnan(scales), 1.0, scales)
+    left, right = (np.interp(low, rows, scales[:, side]) for side in (0, 1))
+    wide = left + (right - left) * smoothstep(flat[:, 0], -0.04, 0.04)  # smooth, so that the parting does not tear
+    if seen.hat is None:
+        round_, near = _round_scale(seen.plane, flat, sizes.eyes), smoothstep(flat[:, 1] - sizes.eyes, 0.0, 0.03)
+        wide = wide + near * (round_ - wide)
+        tall *= 1 + near * (round_ - 1)
+    hangs = 1 - smoothstep(flat[:, 1], sizes.chin - 0.03, sizes.eyes)
+    deep = 1 + (1 - hangs) * (wide.clip(0.85, 1.3) - 1)
+    wide = wide + hangs * (wide.clip(0.85, 1.2) - wide)
+    centre = np.array([0.0, sizes.eyes_rest, head.middle[2]])
+    return centre + (where - centre) * np.stack([wide, tall, deep], axis=1), float(np.abs(scales - 1).mean())
+
+
+def _row_ends(flat: F64 | NDArray[np.float32], rows: F64, low: float) -> F64:
+    """Return [R, 2] left and right ends of points [N, 2] in each row, NaN where there are fewer than three."""
+    ends = np.full((len(rows), 2), np.nan)
+    index = np.round((flat[:, 1] - rows[0]) / _ROW_M).astype(np.intp)
+    for row in range(len(rows)):
+        aside = flat[index == row, 0]
+        if len(aside) > 2:
+            ends[row] = np.quantile(aside, [low, 1 - low])
+    return ends
+
+
+def _round_scale(photo: F64 | NDArray[np.float32], mine: F64, eyes: float) -> F64:
+    """Return [N] the seen hair's reach from the eyes over that of ``mine`` [N, 2], in each point's direction."""
+    angles = np.linspace(0, np.pi, 37)
+    reach = np.full((2, len(angles)), np.nan)
+    for row, (flat, quantile) in enumerate(((photo, 0.98), (mine, 1.0))):
+        direction, far = np.arctan2(flat[:, 1] - eyes, flat[:, 0]), np.hypot(flat[:, 0], flat[:, 1] - eyes)
+        for column, angle in enumerate(angles):
+            near = np.abs(direction - angle) < 0.07
+            if near.sum() > 2:
+                reach[row, column] = np.quantile(far[near], quantile)
+    good = np.isfinite(reach).all(axis=0)
+    if good.sum() < 6:
+        return np.ones(len(mine))
+    ratio = (reach[0, good] / reach[1, good]).clip(_STRETCH[0], 1.45)
+    smooth = gaussian_filter1d(np.interp(angles, angles[good], ratio), 2)
+    return np.interp(np.arctan2(mine[:, 1] - eyes, mine[:, 0]), angles, smooth)
+
+
+def _binding(head: HeadView, where: F64) -> tuple[NDArray[np.int64], F64]:
+    """Return joints and weights [V, 2]: hair above the neck follows the head, lower hair the back, joint by joint."""
+    ids = np.array([JOINT_NAMES.index(name) for name in _CHAIN])
+    heights = head.shot.mesh.skeleton.joints[ids, 1]
+    heights[-1] = head.shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 1] + 0.04
+    at = np.interp(where[:, 1], heights, np.arange(len(ids)))
+    low = np.floor(at).astype(np.intp).clip(0, len(ids) - 2)
+    upper = smoothstep(at - low, 0.0, 1.0)
+    return np.stack([ids[low], ids[low + 1]], axis=1), np.stack([1 - upper, upper], axis=1)

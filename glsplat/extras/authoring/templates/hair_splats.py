@@ -1,0 +1,156 @@
+"""Turn fitted hair into splats, coloured by the picture's hair, and what it covers into a shaded scalp."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from glsplat.avatar import Avatar
+from glsplat.extras.authoring.geometry.surface_points import triangle_areas
+from glsplat.extras.authoring.paint.lamp import Lamp
+from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.sample.cells import Cloud, avatar_of, skin_of, tessellate
+from glsplat.extras.authoring.sample.merge import merge_avatars
+from glsplat.extras.authoring.sample.scatter import PHOTO_SAMPLER
+from glsplat.extras.authoring.templates.hair import FittedHair, carved, scattered
+from glsplat.extras.authoring.templates.head_view import HeadView, value_at
+from glsplat.pictures import to_linear, to_srgb
+from glsplat.rotations import component_sums, lengths, unit_vectors
+from glsplat.skinning.smplx import JOINT_NAMES
+from glsplat.splats import SH_C0
+
+__all__ = ["HAIR_SPLATS", "covered_by_hair", "with_template_hair"]
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+HAIR_SPLATS = 8_000
+"""Of an avatar whose hair is a template."""
+
+_SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85)  # less shows cracks, more blurs the locks
+_POINTS_PER_SPLAT = 32
+_MIN_ALPHA = 0.45
+_FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
+_DEPTH_POINT_PX = 5  # of the picture with the template's own depth
+_CONTRAST = 0.5, 1.3  # of the template's locks against the picture's
+_GUESS_RANGE = 0.35, 2.2  # of brightness against the picture's median
+_SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.75  # of hair's colour, in its own shadow
+_SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
+_MIN_VISIBILITY = 0.15
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.random.Generator) -> Avatar:
+    """Return the painted ``avatar`` with splats of the hair, whose unseen sides are lit by ``light``."""
+    head, seen, mesh = hair.head, hair.seen, hair.mesh
+    shot = head.shot
+    spots, face, rgba = scattered(mesh, HAIR_SPLATS * _POINTS_PER_SPLAT, rng)
+    points = spots.at(mesh.vertices)
+    keep = np.flatnonzero(carved(head, seen, points)[0] & (rgba[:, 3] > _MIN_ALPHA))
+    area = float(triangle_areas(mesh.vertices, mesh.faces).sum()) * len(keep) / len(points)
+    spots, face, rgba, points = spots.take(keep), face[keep], rgba[keep], _drawn_back(head, points[keep])
+    # cards have two sides: the outer one counts
+    corner = mesh.vertices[mesh.faces]
+    normals = unit_vectors(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))[face]
+    outwards = points - head.middle
+    outwards[:, 1] = outwards[:, 1].clip(0, None)
+    normals *= np.where(component_sums(normals * outwards) < 0, -1.0, 1.0)[:, None]
+    own = to_linear(shot.rgb[seen.mask] / 255)
+    guess = _coloured(rgba[:, :3], own)
+    there = head.camera(points)
+    trust = _trust(head, seen.mask, there, unit_vectors(outwards) @ head.rotation.T)
+    shade = light.shade(normals @ head.rotation.T)
+    sure = trust > 0.5
+    usual = float(np.median(shade[sure] if sure.sum() > 50 else shade))
+    guess *= (shade / usual).clip(0.6, 1.1)[:, None]
+    guess *= np.exp(_log_light(own).mean() - _log_light(guess).mean())
+    rgb = to_srgb(guess + trust[:, None] * (shot.sample(shot.project(there)) - guess))
+    even = np.ones(len(points))
+    corners = spots.matrix(len(mesh.vertices))
+    cloud = Cloud(points, normals, rgb, even, even, 0 * even, corners, skin_of(mesh), area, face)
+    made = avatar_of([tessellate(cloud, HAIR_SPLATS, _SAMPLER, rng)], mesh, _SAMPLER.opacity)
+    return merge_avatars(_with_scalp(avatar, hair, points, np.median(own, axis=0)), made)
+
+
+def covered_by_hair(hair: FittedHair) -> Bools:
+    """Return a mask [V] of the body's vertices under the template that the picture does not show as a face."""
+    head = hair.head
+    points = scattered(hair.mesh, HAIR_SPLATS, np.random.default_rng(0))[0].at(hair.mesh.vertices)
+    points = points[carved(head, hair.seen, points)[0]]
+    under = np.zeros(len(head.bare), bool)
+    under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
+    return under & ((head.shot.visibility < _MIN_VISIBILITY) | value_at(hair.seen.mask, head.shot.view.pixels))
+
+
+def _drawn_back(head: HeadView, points: F64) -> F64:
+    """Return points that float before the face nearer to it, along the rays that show them there."""
+    there = head.camera(points)
+    pixels = head.shot.project(there)
+    behind = head.body_z(pixels)
+    gap = np.where(np.isfinite(behind), behind, 0) - there[:, 2]
+    some = (gap > _FLOATING_M) & (gap < _MAX_FLOATING_M) & (head.plane(pixels)[:, 1] < head.sizes.eyes + 0.03)
+    return head.rest(there * np.where(some, 1 + 0.9 * (gap - _FLOATING_M) / there[:, 2], 1.0)[:, None])
+
+
+def _coloured(rgb: F64, own: F64) -> F64:
+    """Return linear colours [M, 3]: the template's light and dark, in colour and contrast of the picture's ``own``."""
+    mine = _log_light(to_linear(rgb))
+    contrast = float(np.clip(_log_light(own).std() / max(mine.std(), 1e-3), *_CONTRAST))
+    return np.median(own, axis=0) * np.exp(contrast * (mine - np.median(mine))).clip(*_GUESS_RANGE)[:, None]
+
+
+def _log_light(linear: F64) -> F64:
+    return np.asarray(np.log(linear @ _LUMINANCE + 0.006))
+
+
+def _trust(head: HeadView, mask: Bools, there: F64, outwards: F64) -> F64:
+    """Return [M] how far the picture's hair shows the points [M, 3] in camera axes; ``outwards`` are unit vectors."""
+    shot = head.shot
+    pixels = shot.project(there)
+    scale = head.depth.shape[0] / shot.mask.shape[0] / 2
+    own = np.full(tuple(int(side * scale) + 1 for side in shot.mask.shape), 1e3, np.float32)
+    at = np.floor(pixels * scale).astype(np.intp)
+    np.minimum.at(own, (at[:, 1].clip(0, own.shape[0] - 1), at[:, 0].clip(0, own.shape[1] - 1)), there[:, 2])
+    nearest = value_at(cv2.erode(own, np.ones((_DEPTH_POINT_PX,) * 2, np.uint8)), pixels, scale)
+    shown = (there[:, 2] < nearest + 0.03) & (there[:, 2] < head.body_z(pixels) + 0.02)
+    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    width = max(3, int(0.006 * head.scale) | 1)
+    inner = cv2.GaussianBlur(cv2.erode(closed, np.ones((width, width), np.uint8)).astype(np.float32), (0, 0), width / 3)
+    facing = -component_sums(outwards * there) / lengths(there)
+    return smoothstep(facing, -0.05, 0.25) * shown * value_at(inner, pixels)
+
+
+def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> Avatar:
+    """Return the avatar whose hair painted on the head is a scalp below the template's ``points``.
+
+    Cloth below hanging hair becomes as dark. Without both, cracks between locks would shine.
+    """
+    head, shot = hair.head, hair.head.shot
+    body, rest = head.body, shot.mesh.vertices
+    means = avatar.splats.means.astype(np.float64)
+    near = cKDTree(rest).query(means)[1]
+    tree = cKDTree(points)
+    on_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "neck", "jaw")])
+    mine = np.flatnonzero(on_head[near])
+    vertex = near[mine]
+    shown = shot.visibility[vertex] > _MIN_VISIBILITY
+    hairy = np.where(shown, value_at(hair.seen.mask, shot.view.pixels[vertex]), True)
+    distance = np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0])  # a brim may bulge
+    hairy &= distance < _SCALP_REACH_M
+    if hair.seen.hat is not None:
+        hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
+    mine, vertex, shown = mine[hairy], vertex[hairy], shown[hairy]
+    moved, sh = avatar.splats.means.copy(), avatar.splats.sh.copy()
+    moved[mine] += head.bare[vertex] - rest[vertex]
+    painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
+    scalp = np.where(shown[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
+    sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
+    unseen = ~on_head[near] & (shot.visibility[near] < 0.1) & (means[:, 1] > points[:, 1].min())
+    below = np.flatnonzero(unseen)
+    below = below[tree.query(means[below])[0] < _CLOTH_REACH_M]
+    sh[below, 0] = (to_srgb(_SCALP_SHADE * colour) - 0.5) / SH_C0
+    return replace(avatar, splats=replace(avatar.splats, means=moved, sh=sh))
