@@ -9,7 +9,6 @@ import pytest
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front
-from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
