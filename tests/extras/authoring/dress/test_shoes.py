@@ -10,6 +10,7 @@ from glsplat.extras.authoring.dress.shoes import feet_vertices, with_shoes
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.shoes import footwear_of, shoe_painter
 from glsplat.extras.authoring.templates.library import template
+from glsplat.meshes import RiggedMesh
 from glsplat.pictures import to_linear
 from tests.extras.authoring.paint import scene as made_up
 from tests.extras.authoring.paint.scene import Scene, photographed
@@ -21,7 +22,7 @@ def in_shoes(colour: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> Scene:
     """The person with feet of this colour."""
     usual, feet = made_up.albedo, feet_vertices(open_body(), "left") | feet_vertices(open_body(), "right")
 
-    def worn(mesh: made_up.RiggedMesh) -> np.ndarray:
+    def worn(mesh: RiggedMesh) -> np.ndarray:
         colours = usual(mesh)
         colours[feet] = colour
         return colours

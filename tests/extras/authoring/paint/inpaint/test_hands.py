@@ -9,6 +9,7 @@ from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.segments import HANDS, joint_weights
 from glsplat.extras.authoring.paint.inpaint.hands import hands_of
 from glsplat.extras.authoring.paint.skin_tone import likeness
+from glsplat.meshes import RiggedMesh
 from tests.extras.authoring.paint import scene as made_up
 from tests.extras.authoring.paint.scene import photographed
 
@@ -23,7 +24,7 @@ def test_hands_have_the_tone_of_skin_unless_both_wear_gloves(
 ) -> None:
     usual = made_up.albedo
 
-    def worn(mesh: made_up.RiggedMesh) -> np.ndarray:
+    def worn(mesh: RiggedMesh) -> np.ndarray:
         colours = usual(mesh)
         colours[LEFT], colours[RIGHT] = left, right
         return colours
