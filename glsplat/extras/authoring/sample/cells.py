@@ -45,7 +45,6 @@ class SamplerConfig:
     head_share: float = 0.19  # fraction of all splats
     face_boost: float = 2.0  # density of the face over that of the rest of the head
     eye_boost: float = 10.0  # density of an eyeball's front over that around it
-    shoe_boost: float = 1.0  # density of a part called shoes: soles and rims are edges
     detail_boost: float = 2.5  # density of busy texture over that of plain texture, minus one
     color_weight: float = 0.7  # cell sizes that a colour difference of one counts as
     normal_weight: float = 0.6  # cell sizes that a right angle counts as, over sqrt(2)

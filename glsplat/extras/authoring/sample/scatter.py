@@ -19,7 +19,7 @@ __all__ = ["PHOTO_SAMPLER", "Scatter", "even_points", "scatter"]
 
 F64 = NDArray[np.float64]
 
-PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, inset=0.002, round_off=8, shoe_boost=2.0)
+PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, inset=0.002, round_off=8)
 """Fewer samples and rounds than for a textured mesh: faster, and a photograph has less detail."""
 
 _COVERED_DENSITY = 0.3  # of splats under hair, over that of bare surface

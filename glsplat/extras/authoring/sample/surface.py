@@ -141,9 +141,7 @@ def face_densities(mesh: RiggedMesh, config: SamplerConfig) -> NDArray[np.float6
         amount = (mesh.weights * owns[mesh.joints]).sum(axis=1) / np.maximum(mesh.weights.sum(axis=1), 1e-9)
         front = np.clip((mesh.vertices[:, 2] - head[2]) / _FACE_DEPTH_M, 0, 1)
         density *= 1 + (config.face_boost - 1) * amount * front
-    shod = np.repeat([part.name == "shoes" for part in mesh.parts], [len(part.faces) for part in mesh.parts])
-    density = density[mesh.faces].mean(axis=1) * np.where(shod, config.shoe_boost, 1.0)
-    return np.asarray(density) * _eye_densities(mesh, config.eye_boost) * area_factors(mesh)
+    return np.asarray(density[mesh.faces].mean(axis=1)) * _eye_densities(mesh, config.eye_boost) * area_factors(mesh)
 
 
 def _eye_densities(mesh: RiggedMesh, boost: float) -> NDArray[np.float64]:

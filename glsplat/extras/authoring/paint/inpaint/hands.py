@@ -24,10 +24,10 @@ __all__ = ["Hands", "hands_of"]
 F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40
-_MIN_SKIN_FRACTION, _MIN_KEPT_FRACTION = 0.5, 0.75  # of a hand's visible vertices, for its tone, and to keep its pixels
+_MIN_SKIN_FRACTION, _MIN_KEPT_FRACTION = 0.5, 0.6  # of a hand's visible vertices, for its tone, and to keep its pixels
 _MAX_GLOVE_SKIN_FRACTION, _MAX_GLOVE_SPREAD = 0.15, 0.45  # of gloves: visible skin, and deviation of log brightness
-_WRIST = 0.1, 0.35  # skinning weights of the hand's joints: hands begin softly above the cut of the arm's rows
-_RIM = 0.001, 0.004  # of the person's height: pixels nearer to an arm's outline are mixed with others
+_WRIST = 0.3, 0.5  # skinning weights of the hand's joints: hands begin softly above the cut of the arm's rows
+_RIM = 0.0, 0.002  # of the person's height: pixels nearer to an arm's outline are mixed with others
 _TEXTURE_RANGE = 0.5, 1.6  # of the texture over its median
 _HUE_FRACTION, _CONTRAST = 0.5, 1.4  # of the texture's own hue (red palms and knuckles), and exponent
 _SHADE_EXPONENT = 0.5  # of light over the face's: hands turn as they are posed, and must not be black
