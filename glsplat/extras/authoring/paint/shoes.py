@@ -120,7 +120,7 @@ class ShoePainter:
         guess = points.at(self.colour) * factor[tree.query(points.at(self.rest))[1]][:, None] * shade[:, None]
         rgb = to_srgb(guess + visibility[:, None] * (linear - guess))
         detail = self.shot.detail(self.shot.project(points.at(self.where)))
-        return rgb, visibility, np.maximum(detail * visibility, 0.5)
+        return rgb, visibility, detail * visibility
 
     def sample(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
         """Return [M, 3] the picture's linear colours, [M] the points' visibility, and [M] their light."""
