@@ -34,7 +34,7 @@ _MIN_VISIBILITY = 0.3
 _MIN_FOOT_VERTICES = 60  # visible, of both feet
 _BARE_FRACTION, _SHOD_FRACTION = 0.75, 0.5  # of the visible feet that is skin: at least, and at most
 # heights in metres above the sole
-_SOLE_TOP_M, _UPPER_M, _ANKLE_M, _KNEE_M, _RIM_M = 0.022, (0.04, 0.09), (0.12, 0.17), (0.3, 0.45), 0.075
+_SOLE_TOP_M, _UPPER_M, _ANKLE_M, _KNEE_M, _RIM_M = 0.022, (0.04, 0.09), (0.12, 0.17), (0.3, 0.45), 0.06
 # differences in CIELAB
 _SAME_COLOUR, _OTHER_COLOUR = 13.0, 18.0
 _LIGHT_UPPER, _LIGHTER_SOLE, _COLOURED_UPPER, _DARK_UPPER = 62.0, 25.0, 30.0, 18.0
