@@ -170,11 +170,12 @@ def painter_of(
     points: SurfacePoints,
     looks: Mapping[str, EyeLook] | None = None,
     shod: RiggedMesh | None = None,
+    hand_texture: NDArray[np.uint8] | None = None,
 ) -> Painter:
     """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
     Light and cloth are estimated at ``points``, which should lie evenly over its surface. ``shod`` is the body with
-    shoes, if it has any.
+    shoes, if it has any; ``hand_texture`` that of the open body's skin.
     """
     front = shots[0]
     start_front = run_in_background(lambda: Front(front.mesh))
@@ -189,7 +190,7 @@ def painter_of(
     inside = eyes_and_mouth_of(body, front, looks or {})
     shoes = None if shod is None else shoe_painter(body, front, light, shod)
     weights = _mirror_weights(body, front)
-    hands = hands_of(body, front, light)
+    hands = hands_of(body, front, light, hand_texture)
     return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, shoes)
 
 

@@ -44,7 +44,7 @@ from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, f
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
-from glsplat.extras.authoring.templates.library import HAIR, template
+from glsplat.extras.authoring.templates.library import HAIR, hand_skin, template
 from glsplat.meshes import RiggedMesh
 
 __all__ = ["MIN_TRUST", "PHONE_FOCAL_FACTOR", "SIDES", "Builtin"]
@@ -83,7 +83,7 @@ class Builtin:
         if covered is not None:
             covered = np.pad(covered, (0, len(whole.vertices) - len(covered)))
         scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
-        painter = painter_of(body, shots, even_points(mesh, _LIGHT_POINTS), looks, shod)
+        painter = painter_of(body, shots, even_points(mesh, _LIGHT_POINTS), looks, shod, hand_skin())
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
@@ -115,7 +115,7 @@ class Builtin:
         shod, footwear = _shod(body, fit, shots[0])
         mesh = shots[0].mesh
         even = even_points(mesh, _LIGHT_POINTS)
-        painter = painter_of(body, shots, even, looks, shod)
+        painter = painter_of(body, shots, even, looks, shod, hand_skin())
         unseen = float((painter.paint(even).visibility < MIN_TRUST).mean())
         options.progress("painting textures", 0.5)
         mesh = bake(shod or mesh, painter.colours, options.texture)

@@ -15,7 +15,6 @@ from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.skin_tone import face_colour, likeness, unlit
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.extras.authoring.templates.library import hand_skin
 from glsplat.meshes import MeshPart
 from glsplat.pictures import to_linear
 
@@ -59,14 +58,15 @@ class Hands:
         return guess + values[:, :1] * (values[:, 1:] * soft[:, None] - guess)
 
 
-def hands_of(body: Body, shot: FittedPicture, light: Lamp) -> Hands:
+def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.uint8] | None = None) -> Hands:
     """Return the hands in the front ``shot``: in their own tone if it shows enough skin, else in the face's.
 
-    Gloves are taken for gloves only if both hands agree; one alone is a sleeve.
+    ``texture`` [H, W, 3] is the open body's skin in sRGB; None: plain skin. Gloves are taken for gloves only if both
+    hands agree; one alone is a sleeve.
     """
     uv = np.zeros((len(body.vertices), 2))
     uv[body.faces.ravel()] = body.uv.reshape(-1, 2)
-    picture = hand_skin()
+    picture = np.full((1, 1, 3), 255, np.uint8) if texture is None else texture
     opaque = np.dstack([picture, np.full(picture.shape[:2], 255, np.uint8)])
     skin = to_linear(MeshPart("", np.zeros((0, 3), np.int32), np.zeros((0, 3, 2)), opaque).sample(uv)[:, :3])
     share, colour, trust = np.zeros(len(uv)), np.zeros((len(uv), 3)), np.zeros(len(uv))
@@ -75,12 +75,12 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp) -> Hands:
     for side in ("left", "right"):
         weight = joint_weights(body, side, *HANDS) * body.skin
         hand = weight > 0.5
-        texture = ((skin / np.median(skin[hand], axis=0)) ** _CONTRAST).clip(*_TEXTURE_RANGE)
-        texture = texture.mean(axis=1, keepdims=True) * (1 - _HUE_FRACTION) + _HUE_FRACTION * texture
+        detail = ((skin / np.median(skin[hand], axis=0)) ** _CONTRAST).clip(*_TEXTURE_RANGE)
+        detail = detail.mean(axis=1, keepdims=True) * (1 - _HUE_FRACTION) + _HUE_FRACTION * detail
         seen = hand & (shot.visibility > _MIN_VISIBILITY)
         plain = unlit(shot, light, seen)
-        like = np.zeros(0) if face is None or not len(plain) else likeness(plain / texture[seen], face[None])
-        found.append((weight, texture, seen, plain, like))
+        like = np.zeros(0) if face is None or not len(plain) else likeness(plain / detail[seen], face[None])
+        found.append((weight, detail, seen, plain, like))
     gloves = all(
         len(like) > _MIN_VERTICES
         and like.mean() < _MAX_GLOVE_SKIN_FRACTION
@@ -88,14 +88,14 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp) -> Hands:
         for _, _, _, plain, like in found
     )
     own = [
-        np.median((plain / texture[seen])[like > 0.5], axis=0)
-        for _, texture, seen, plain, like in found
+        np.median((plain / detail[seen])[like > 0.5], axis=0)
+        for _, detail, seen, plain, like in found
         if len(like) > _MIN_VERTICES and like.mean() > _MIN_SKIN_FRACTION
     ]
-    for weight, texture, _, plain, like in found:
+    for weight, detail, _, plain, like in found:
         kept = len(like) > _MIN_VERTICES and like.mean() > _MIN_KEPT_FRACTION
         if gloves or (face is None and len(plain) > _MIN_VERTICES):
-            tone, texture, kept = np.median(plain, axis=0), np.ones_like(texture), True
+            tone, detail, kept = np.median(plain, axis=0), np.ones_like(detail), True
         elif own or face is not None:
             tone = np.mean(own, axis=0) if own else face
         else:
@@ -103,7 +103,7 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp) -> Hands:
         part = ramp(weight, *_WRIST)
         share += part
         half = body.vertices[:, 0] * body.vertices[weight > 0, 0].mean() > 0  # also beyond the wrist: colours are mixed
-        colour[half] = (tone * texture)[half]
+        colour[half] = (tone * detail)[half]
         trust += (part > 0) * float(kept)
     shade = light.shade(shot.normals[face_vertices(body)])
     return Hands(share, colour, trust, float(np.median(shade)))

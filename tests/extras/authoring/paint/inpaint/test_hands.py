@@ -9,13 +9,14 @@ from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.segments import HANDS, joint_weights
 from glsplat.extras.authoring.paint.inpaint.hands import hands_of
 from glsplat.extras.authoring.paint.skin_tone import likeness
+from glsplat.extras.authoring.templates.library import hand_skin
 from glsplat.meshes import RiggedMesh
 from tests.extras.authoring.paint import scene as made_up
 from tests.extras.authoring.paint.scene import photographed
 
 SKIN, WHITE, GREEN = np.array([0.45, 0.3, 0.22]), np.array([0.7, 0.7, 0.72]), np.array([0.05, 0.3, 0.05])
 BODY = open_body()
-LEFT, RIGHT = (joint_weights(BODY, side, *HANDS) > 0.5 for side in ("left", "right"))
+LEFT, RIGHT = (joint_weights(BODY, side, *HANDS) > 0.75 for side in ("left", "right"))
 
 
 @pytest.mark.parametrize(("left", "right", "wanted"), [(SKIN, WHITE, SKIN), (GREEN, GREEN, GREEN)])
@@ -31,7 +32,7 @@ def test_hands_have_the_tone_of_skin_unless_both_wear_gloves(
 
     monkeypatch.setattr(made_up, "albedo", worn)
     shot = (scene := photographed.__wrapped__("front")).shots[0]
-    hands = hands_of(BODY, shot, scene.light)
+    hands = hands_of(BODY, shot, scene.light, hand_skin())
     for hand in (LEFT, RIGHT):
         assert likeness(np.median(hands.colour[hand], axis=0)[None], wanted[None])[0] > 0.8
         assert hands.share[hand].min() > 0.9
