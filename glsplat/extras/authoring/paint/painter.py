@@ -18,13 +18,16 @@ from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
 from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
+from glsplat.extras.authoring.paint.inpaint.hands import Hands, hands_of
 from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
 from glsplat.extras.authoring.paint.ramps import ramp
+from glsplat.extras.authoring.paint.shoes import ShoePainter, shoe_painter
 from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
+from glsplat.meshes import RiggedMesh
 from glsplat.pictures import to_srgb
 
 __all__ = ["COLOUR_DIGITS", "Paint", "Painter", "painter_of"]
@@ -67,6 +70,8 @@ class Painter:
     head: BackOfHead
     sleeves: SurfacePoints | None  # [V] point of the trunk whose cloth an arm's vertex takes; None for plain cloth
     mirror_weights: F64  # [V] weight of the body's other half for vertices seen in no picture
+    hands: Hands
+    shoes: ShoePainter | None  # of vertices after the body's
 
     def paint(self, points: SurfacePoints) -> Paint:
         """Return the colours of the points; only points not seen squarely are guessed."""
@@ -77,6 +82,13 @@ class Painter:
 
     def _paint_block(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
         """Return the fields of ``Paint`` for one block of points."""
+        worn = points.corners[:, 0] >= len(self.body.vertices)
+        if self.shoes is not None and worn.any():
+            own = self._paint_block(points.take(~worn))
+            shoes = self.shoes.paint(points.take(worn))
+            order = np.argsort(np.concatenate([np.flatnonzero(~worn), np.flatnonzero(worn)]))
+            rgb, visibility, detail = (np.concatenate(both)[order] for both in zip(own, shoes, strict=True))
+            return rgb, visibility, detail
         samples, material, shade = self._sample_pictures(points)
         visibility, colour = _mix_views(samples)
         detail = np.max([sample.detail * sample.visibility for sample in samples], axis=0)
@@ -98,6 +110,7 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
+        foreign = np.maximum(foreign, self.hands.foreign(self.shots[0], points, first.linear / shade[:, None]))
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
@@ -137,6 +150,7 @@ class Painter:
             guess[some] += ((1 - trust) * (1 - mirror_share))[some, None] * (
                 self._sleeve_colours(points, some, shade) - guess[some]
             )
+        guess = self.hands.over(points, guess, shade)
         return guess, np.maximum(matched.detail * trust, other.detail * mirror_share)
 
     def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
@@ -149,11 +163,17 @@ class Painter:
 
 
 def painter_of(
-    body: Body, shots: Sequence[FittedPicture], points: SurfacePoints, looks: Mapping[str, EyeLook] | None = None
+    body: Body,
+    shots: Sequence[FittedPicture],
+    points: SurfacePoints,
+    looks: Mapping[str, EyeLook] | None = None,
+    shod: RiggedMesh | None = None,
+    hand_texture: NDArray[np.uint8] | None = None,
 ) -> Painter:
     """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
-    Light and cloth are estimated at ``points``, which should lie evenly over the surface.
+    Light and cloth are estimated at ``points``, which should lie evenly over its surface. ``shod`` is the body with
+    shoes, if it has any; ``hand_texture`` that of the open body's skin.
     """
     front = shots[0]
     start_front = run_in_background(lambda: Front(front.mesh))
@@ -166,7 +186,10 @@ def painter_of(
     matches, span = match_to_front(front.mesh, trunk_vertices(body), view), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, view, span)
     inside = eyes_and_mouth_of(body, front, looks or {})
-    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, _mirror_weights(body, front))
+    shoes = None if shod is None else shoe_painter(body, front, light, shod)
+    weights = _mirror_weights(body, front)
+    hands = hands_of(body, front, light, hand_texture)
+    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, shoes)
 
 
 def _mirror_weights(body: Body, shot: FittedPicture) -> F64:

@@ -14,6 +14,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.body.segments import arm_segments
 from glsplat.extras.authoring.compute.threads import run_in_background
+from glsplat.extras.authoring.dress.shoes import with_shoes
 from glsplat.extras.authoring.dress.skirt import dress
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
@@ -29,6 +30,7 @@ from glsplat.extras.authoring.optimize.surface_consistency import load_compiled
 from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
+from glsplat.extras.authoring.paint.shoes import footwear_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.reconstruct.reconstructor import (
     FittedBody,
@@ -42,7 +44,8 @@ from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, f
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
-from glsplat.extras.authoring.templates.library import HAIR
+from glsplat.extras.authoring.templates.library import HAIR, hand_skin, template
+from glsplat.meshes import RiggedMesh
 
 __all__ = ["MIN_TRUST", "PHONE_FOCAL_FACTOR", "SIDES", "Builtin"]
 
@@ -72,23 +75,28 @@ class Builtin:
         hair = _template_hair(body, fit, bald[0]) if options.splats >= _MIN_SPLATS_WITH_HAIR else None
         shots = with_hair(body, bald) if hair is None else bald
         mesh = shots[0].mesh
+        shod, footwear = _shod(body, fit, shots[0])
+        whole, notes = shod or mesh, {"shoes": footwear}
         rng = np.random.default_rng(options.seed)
-        face = run_in_background(lambda: moving_face(mesh)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
+        face = run_in_background(lambda: moving_face(whole)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
         covered, elsewhere = (None, 0) if hair is None else (covered_by_hair(hair), HAIR_SPLATS)
-        scattered = scatter(mesh, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
-        painter = painter_of(body, shots, even_points(mesh, _LIGHT_POINTS), looks)
+        if covered is not None:
+            covered = np.pad(covered, (0, len(whole.vertices) - len(covered)))
+        scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
+        own = scattered.points.take(scattered.points.corners[:, 0] < len(mesh.vertices))  # middles lose thin stripes
+        painter = painter_of(body, shots, own, looks, shod, hand_skin())
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
-        avatar = scattered.avatar(face().mesh if face else mesh, painted.rgb, painted.detail, rng)
+        avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng)
         unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(
-            avatar, mesh, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
+            avatar, whole, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
         )
         if hair is not None:
             avatar = with_template_hair(avatar, hair, painter.light, rng)
-            avatar = replace(avatar, meta={"templates": {"hair": f"{hair.name}, agreement {hair.agreement:.2f}"}})
+            notes["hair"] = f"{hair.name}, agreement {hair.agreement:.2f}"
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
@@ -98,18 +106,21 @@ class Builtin:
             loaded()
             avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
+        avatar = replace(avatar, meta=dict(avatar.meta) | {"templates": notes})
         return MadeAvatar(avatar=avatar, fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
         """Return the dressed body, textured with the pictures."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
         shots = with_hair(body, bald)
+        shod, footwear = _shod(body, fit, shots[0])
         mesh = shots[0].mesh
         even = even_points(mesh, _LIGHT_POINTS)
-        painter = painter_of(body, shots, even, looks)
+        painter = painter_of(body, shots, even, looks, shod, hand_skin())
         unseen = float((painter.paint(even).visibility < MIN_TRUST).mean())
         options.progress("painting textures", 0.5)
-        mesh = bake(mesh, painter.colours, options.texture)
+        mesh = bake(shod or mesh, painter.colours, options.texture)
+        mesh = replace(mesh, meta=dict(mesh.meta) | {"templates": {"shoes": footwear}})
         options.progress("painting textures", 1.0)
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
@@ -154,6 +165,17 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     if not any(look.visible for look in looks.values()):
         looks = {}  # closed lids and dark glasses are painted as pictured
     return _Fitted(body, fit, shots, looks)
+
+
+def _shod(body: Body, fit: BodyFit, shot: FittedPicture) -> tuple[RiggedMesh | None, str]:
+    """Return the dressed body with shoes, or None if its feet stay, and a note on what they wear."""
+    footwear = footwear_of(body, shot)
+    if footwear.template is None:
+        return None, f"{footwear.kind}: feet as fitted"
+    floor = fit.joints[0] - shot.mesh.skeleton.joints[0]
+    bare = body.shaped(fit.betas)[0] - floor
+    note = f"{footwear.kind}: template {footwear.template}"
+    return with_shoes(body, bare, shot.mesh, template(footwear.template)), note
 
 
 def _trust(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Find the colour of a garment or of bare skin all around a limb, to continue it where no picture looks.
 
 Along trunk, legs, arms and neck the visible surface is cut into rows, and each row has one main colour (mean shift,
-Comaniciu and Meer 2002, in square roots of linear light). Prints, openings, hands and specks of background are too
+Comaniciu and Meer 2002, in square roots of linear light). Prints, openings and specks of background are too
 small to become it.
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS, trunk_half_width, trunk_vertices
+from glsplat.extras.authoring.body.segments import trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
@@ -48,13 +48,10 @@ _REGIONS = (  # words of the joints' names; along x or y; the region of the othe
     (("left_shoulder", "left_elbow"), 0, 4),
     (("right_shoulder", "right_elbow"), 0, 3),
     (("neck",), 1, None),
-    (tuple(f"left_{word}" for word in HANDS), 0, 7),
-    (tuple(f"right_{word}" for word in HANDS), 0, 6),
-    (("left_ankle", "left_foot"), 1, 9),
-    (("right_ankle", "right_foot"), 1, 8),
+    (("left_ankle", "left_foot"), 1, 7),
+    (("right_ankle", "right_foot"), 1, 6),
 )
-_TRUNK, _NECK, _BODY, _ARMS, _HANDS, _FEET = 0, 5, (0, 1, 2), (3, 4, 6, 7), (6, 7), (8, 9)
-_SLEEVES = 3, 4
+_TRUNK, _NECK, _BODY, _SLEEVES, _FEET = 0, 5, (0, 1, 2), (3, 4), (6, 7)
 _CLOTHED, _PAIRS = (0, 1, 2, 3, 4), ((1, 2), _SLEEVES)  # regions that may have a pattern
 _MAX_PATTERN_COLOURS = 2000
 _MIN_GARMENT_ROWS = 10
@@ -120,12 +117,12 @@ class Cloth:
         some = np.flatnonzero((material.known > 0) & (distance > _FOREIGN_TOLERANCES[0]) & ~np.isin(mine, _FEET))
         near = shot.outline_distance(pixels[some], shot.layers_at(points)[some]) < _RIM_FRACTION
         # a fitted arm may be some centimetres off, over pixels of the trunk's cloth
-        near |= np.isin(mine[some], _ARMS) & shot.over_trunk(pixels[some])
-        some = some[near | np.isin(mine[some], _HANDS)]
+        near |= np.isin(mine[some], _SLEEVES) & shot.over_trunk(pixels[some])
+        some = some[near]
         if not len(some):
             return out
         other = lengths(look[some] - np.sqrt(shot.background(pixels[some]) / shade[some, None]))
-        for numbers, others in ((_ARMS, _BODY), (_BODY, _ARMS)):
+        for numbers, others in ((_SLEEVES, _BODY), (_BODY, _SLEEVES)):
             rows = [rows.colour for k in others if (rows := self.rows[k]) is not None]
             which = np.isin(mine[some], numbers)
             if rows and which.any():
@@ -158,7 +155,7 @@ class Cloth:
             tolerance[mine] = rows.tolerance[low]
             pattern[mine] = rows.pattern[low] & ~outside
             known[mine] = 1
-        return Material(colour, tolerance, known, pattern, skin, np.isin(region, _HANDS))
+        return Material(colour, tolerance, known, pattern, skin)
 
 
 def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: ViewSample, shade: F64) -> Cloth:
@@ -189,12 +186,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         weight = visibility * ((mine == number) + _MIRRORED_WEIGHT * (mine == (-1 if other is None else other)))
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
-        reach = np.inf if number in _HANDS else _ROW_REACH_M
-        if number in _HANDS and skin is not None:
-            bare = np.linalg.norm(look[taken] - skin, axis=1) < _SKIN_DISTANCE
-            if weight[taken][bare].sum() > max(_MIN_STRAP_FRACTION * weight[taken].sum(), MIN_ROW_WEIGHT):
-                at, taken = at[bare], taken[bare]  # excludes cuffs
-        these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], reach)
+        these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], _ROW_REACH_M)
         these = None if these is None else without_mixed_rows(these)
         if these is not None and number in _CLOTHED:
             below = (number != _TRUNK) | (at < armpit)  # above the armpits cloth and skin mix

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.paint.ramps import ramp
-from glsplat.rotations import component_sums, lengths
+from glsplat.rotations import lengths
 
 __all__ = ["NECKLINE_DISTANCE", "Material"]
 
 F64 = NDArray[np.float64]
 
 _SAME_TOLERANCES, _OTHER_TOLERANCES = 1.0, 1.5  # from a cloth's colour: surely the same cloth, surely another one
-_HAND_BRIGHTNESS_RANGE = 0.7, 1.8  # of a hand's parts over its colour
 
 NECKLINE_DISTANCE = 0.1
 """From the face's colour, in square roots of linear light: nearer colours above the armpits are a neckline."""
@@ -30,22 +29,15 @@ class Material:
     known: F64  # [M] 1 where there is a material, else 0
     pattern: NDArray[np.bool_]  # [M] whether it has other colours besides, all around the body
     skin: F64  # [M, 3] square roots of the colour that is no part of a pattern there; NaN without one
-    hand: NDArray[np.bool_]  # [M]
 
     def at(self, some: NDArray[np.intp]) -> Material:
         """Return the material of N of the points."""
-        fields = ("colour", "tolerance", "known", "pattern", "skin", "hand")
+        fields = ("colour", "tolerance", "known", "pattern", "skin")
         return Material(*(getattr(self, field)[some] for field in fields))
 
     def distance(self, look: F64) -> F64:
-        """Return [M] distances of square roots of unlit linear colours [M, 3] from its colour, in tolerances.
-
-        A hand's brightness is ignored: palms, nails and backs of hands differ.
-        """
-        expected = np.sqrt(self.colour)
-        scale = component_sums(look * expected) / np.maximum(component_sums(expected**2), 1e-9)
-        expected[self.hand] *= scale.clip(*_HAND_BRIGHTNESS_RANGE)[self.hand, None]
-        return np.asarray(lengths(look - expected) / self.tolerance)
+        """Return [M] distances of square roots of unlit linear colours [M, 3] from its colour, in tolerances."""
+        return np.asarray(lengths(look - np.sqrt(self.colour)) / self.tolerance)
 
     def likeness(self, plain: F64, patterned: bool = True) -> F64:
         """Return [M] from 0 to 1: how surely unlit linear colours [M, 3] are this material.

@@ -9,7 +9,6 @@ import pytest
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front
-from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -87,19 +86,6 @@ def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(middle) > 5 and np.abs(hue(middle) - hue(SHIRT[None])).max() < 0.15
     beside = unlit(painter, of(points, back & (np.abs(where[:, 0]) > wide + 0.02) & (np.abs(where[:, 0]) < 0.14)))
     assert len(beside) > 5 and np.abs(np.median(hue(beside), axis=0) - hue(SKIN[None])[0]).max() < 0.08
-
-
-def test_a_hands_brightness_is_ignored() -> None:
-    """Palms and nails are brighter than the backs of hands, and are believed; another hue is not."""
-    back = np.array([[0.08, 0.04, 0.03]])
-    one = np.ones(1)
-    hand, leg = (
-        Material(back, 0.06 * one, one, np.zeros(1, bool), np.full((1, 3), np.nan), np.array([is_hand]))
-        for is_hand in (True, False)
-    )
-    palm, cloth = 2.5 * back, np.array([[0.05, 0.08, 0.25]])
-    assert hand.likeness(palm) == 1 and leg.likeness(palm) == 0
-    assert hand.likeness(cloth) == 0 and hand.likeness(25 * back) == 0
 
 
 def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
