@@ -24,6 +24,7 @@ _SHADES = (0.35, 0.5, 0.7, 1.0)  # of one colour, in linear light, from above to
 _MIN_UNLIKE_SKIN = 13.0  # of a crown with hair, in CIELAB; below it the head is bald
 _MIN_WORN = 18.0  # of hair beside the face
 _MIN_HAT = 20.0  # between a hat and the hair below it
+_MAX_LIGHTER = 40.0  # of hair below a hat than the face, in lightness: more is a hand or the room beside a dark mask
 _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
@@ -68,6 +69,8 @@ def seen_hair(head: HeadView) -> SeenHair | None:
         return None
     # by a hat, unless the crown is the same hair in other light
     covered = worn and min(_apart(crown, lit) for lit in _shaded(flank, (*_SHADES, 1.4, 2.0, 2.8))) > _MIN_HAT
+    if covered and flank[0] - skin[0] > _MAX_LIGHTER:
+        return None
     hair = flank if covered else crown
     like = np.min([away(shade) for shade in _shaded(hair, _SHADES)], axis=0)
     other = np.min([away(shade) for shade in _shaded(skin, (*_SHADES, 1.3))], axis=0)
