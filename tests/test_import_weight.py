@@ -43,7 +43,7 @@ EXTRAS = [
     ("import glsplat.extras.authoring.reconstruct.photos", "PIL cv2 scipy simplejpeg", ANY),
     (
         "import glsplat.extras.authoring.reconstruct.builtin",
-        "PIL cv2 scipy trimesh",
+        "PIL cv2 scipy simplejpeg trimesh",
         ANY,
     ),  # no numba: it loads in a thread
     ("import apps.args, apps.convert, apps.inspect", "", ANY),

@@ -248,16 +248,21 @@ def test_nobody_steps_into_another(chromium: Any) -> None:
 
 
 def test_a_face_is_asked_for_with_the_pixels_that_it_covers(open_page: OpenPage, served: Any) -> None:
-    """Of the display, up to twice the side of the setting."""
-    page = visit(open_page, served, {"drawer": False}, address=f"{served.page}?room=lab&name=Ann", size=(700, 460))
-    page.until("window.glsplat.stats().shown > 0")
-
-    def sides() -> float:
-        """Return the requested pixels a pixel of the display, along a side: the picture fills it."""
-        width, height = (jobs(served, 1)[-1].cameras[0].width, jobs(served, 1)[-1].cameras[0].height)
-        return float(np.sqrt(width * height / (700 * 460)))
-
-    page.page.click("#face")
-    page.meanwhile(lambda: 0.95 < sides() < 1.1)
-    page.page.click("#face")
-    page.meanwhile(lambda: sides() < 0.9)
+    """Of the display, up to twice the side of the setting; from 1.4 m on, those of the setting."""
+    page = visit(open_page, served, {"drawer": False}, size=(700, 460))
+    sides = page.js("""async () => {
+      const { Framing } = await import('/vr/space/framing.js');
+      const { IDENTITY, translation } = await import('/vr/space/matrix.js');
+      const framing = new Framing();
+      framing.learn([-0.3, 0, -0.15, 0.3, 1.8, 0.15], { head: null });
+      const f = 1 / Math.tan(0.4);
+      const projection = [(f * 460) / 700, 0, 0, 0, 0, f, 0, 0, 0, 0, -1, -1, 0, 0, -0.02, 0];
+      const viewport = { x: 0, y: 0, width: 700, height: 460 };
+      const where = { view: 'viewer', shown: IDENTITY };
+      return [2.5, 0.6, 1.3, 1.5].map((away) => {
+        const view = { transform: translation([0, 1.6, away]), projection, viewport };
+        const { size } = framing.frame([view], where, null, 256, 0.05, 1000 * away);
+        return Math.sqrt(size[0] * size[1]);
+      });
+    }""")
+    assert sides == pytest.approx([256, 512, 384, 256], rel=0.06)

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import glsplat
-from glsplat.net.backend import Rendered, RenderJob
+from glsplat.net.backend import Rendered, RenderJob, Submitted
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.served_scene import TrackingOptions
 from tests.browser.conftest import OpenPage
@@ -30,8 +30,9 @@ class Kept(RendererBackend):
         super().__init__(avatar, (512, 512))
         self.kept: dict[int, tuple[RenderJob, Rendered]] = {}
 
-    def render(self, request: RenderJob) -> Rendered:
-        rendered = super().render(request)
+    def submit(self, request: RenderJob) -> Rendered | Submitted:
+        rendered = super().submit(request)
+        assert isinstance(rendered, Rendered)  # a software driver draws at once
         kept = replace(rendered, images=rendered.images.copy())
         self.kept = dict(list(self.kept.items())[-8:]) | {request.frame_id or 0: (request, kept)}
         return rendered

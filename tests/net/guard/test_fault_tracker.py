@@ -24,6 +24,7 @@ from glsplat.net.served_scene import server_of
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session
 from glsplat.net.worker.process import process_worker
+from glsplat.net.worker.slot_writer import SLOTS
 from glsplat.net.worker.wire import WorkerLostError
 from tests.net.attacks.pictures import costly
 from tests.net.wire import HANG, native, still_serves, until
@@ -158,10 +159,10 @@ async def test_clients_that_leave_take_no_picture_slot_with_them():
         render_loop.remove(client)
         await asyncio.gather(packing, return_exceptions=True)
     with contextlib.suppress(TimeoutError):
-        await until(lambda: worker.launcher.slots.free == 3)
+        await until(lambda: worker.launcher.slots.free == SLOTS)
     free = worker.launcher.slots.free
     await render_loop.stop()
-    assert free == 3
+    assert free == SLOTS
 
 
 async def test_a_good_client_reads_why(serve, fake_backend, cameras):
