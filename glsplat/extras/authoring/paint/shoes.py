@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -48,7 +48,6 @@ _MAX_SEEN = 700
 _NEAR_M, _ROW_M, _LENGTH_M = 0.015, 0.012, 0.05  # standard deviations of colours around a point, and on the other side
 _ROW_WEIGHT, _USUAL_WEIGHT = 0.03, 0.01  # of colours of the same height and length, and of the usual one
 _TONES, _TONE_SHARPNESS = 4, 3
-_MIRRORED = np.abs, np.asarray, np.asarray  # of x, y and z
 _CONTRAST_RANGE = 0.2, 0.7  # of the template's seams, over those in its texture
 
 
@@ -200,12 +199,13 @@ def _nearness(places: F64, known: F64) -> tuple[F64, NDArray[np.intp]]:
     Right shoes count as left ones; points of the same height and length on the other side count a little.
     """
     some = np.linspace(0, len(known) - 1, min(_MAX_SEEN, len(known))).astype(np.intp)
-    apart = np.stack([np.subtract.outer(f(places[:, k]), f(known[some, k])) ** 2 for k, f in enumerate(_MIRRORED)])
+    mirrored = [np.concatenate([np.abs(part[:, :1]), part[:, 1:]], axis=1) for part in (places, known[some])]
+    apart = np.stack([np.subtract.outer(mirrored[0][:, k], mirrored[1][:, k]) ** 2 for k in range(3)])
     near = np.exp(-apart.sum(axis=0) / (2 * _NEAR_M**2))
     return near + _ROW_WEIGHT * np.exp(-(apart[1] / _ROW_M**2 + apart[2] / _LENGTH_M**2) / 2), some
 
 
-def _pixel(picture: NDArray[np.generic], pixels: F64, scale: float) -> NDArray[np.generic]:
+def _pixel(picture: NDArray[Any], pixels: F64, scale: float) -> NDArray[Any]:
     """Return [M] the nearest pixel's value in a picture scaled by ``scale``."""
     at = np.floor(pixels * scale).astype(np.intp)
     return picture[at[:, 1].clip(0, picture.shape[0] - 1), at[:, 0].clip(0, picture.shape[1] - 1)]

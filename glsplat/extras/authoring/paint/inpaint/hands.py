@@ -96,8 +96,10 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
         kept = len(like) > _MIN_VERTICES and like.mean() > _MIN_KEPT_FRACTION
         if gloves or (face is None and len(plain) > _MIN_VERTICES):
             tone, detail, kept = np.median(plain, axis=0), np.ones_like(detail), True
-        elif own or face is not None:
-            tone = np.mean(own, axis=0) if own else face
+        elif own:
+            tone = np.mean(own, axis=0)
+        elif face is not None:
+            tone = face
         else:
             continue
         part = ramp(weight, *_WRIST)
