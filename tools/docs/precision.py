@@ -45,7 +45,10 @@ def scenes(person: Path) -> dict[str, tuple[str | None, int]]:
 
 
 def measured(folder: Path, person: Path, minutes: float) -> dict[str, list[dict[str, Any]]]:
-    """Return name -> results, a size each. Raises GlsplatError when the time is up, or the machine is not quiet."""
+    """Return name -> results, a size each; when the time is up, those of the scenes until then.
+
+    Raises GlsplatError if the machine is not quiet, or if no scene was measured in time.
+    """
     if not person.exists():
         raise GlsplatError(
             f"{person}: no such avatar; make it by glsplat avatar photo PICTURE --steps 0, or --person FILE"
@@ -60,7 +63,12 @@ def measured(folder: Path, person: Path, minutes: float) -> dict[str, list[dict[
             kept = folder / f"{name}-{size}-{commit()}.json"
             if not kept.exists():
                 if time.monotonic() > end:
-                    raise GlsplatError(f"{minutes:g} minutes are over before {kept.stem}; run the command again")
+                    print(f"{minutes:g} minutes are over before {kept.stem}; run the command again", file=sys.stderr)
+                    context.release()
+                    found = {name: sizes for name, sizes in out.items() if sizes}
+                    if not found:
+                        raise GlsplatError(f"{minutes:g} minutes are over before a scene was measured")
+                    return found
                 seeds = [_way(way) for way in out[name][0]["candidates"]] if out[name] else []
                 subject: Subject = subjects_of(file, size)[index]
                 start = time.perf_counter(), time.process_time()
