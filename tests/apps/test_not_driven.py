@@ -52,6 +52,11 @@ def mixamo(every: int = 400) -> Avatar:
     return Avatar(person.splats.take(pick), Skeleton(names, person.skeleton.parents, rest), person.skin.take(pick))
 
 
+def but_the_gate(err: str) -> list[str]:
+    """Return the lines, without the one that says that the machine is busy."""
+    return [line for line in err.splitlines() if "not a quiet machine" not in line]
+
+
 @pytest.mark.extra(name="consent")
 @pytest.mark.extra(name="evaluate")
 @pytest.mark.gl
@@ -61,9 +66,10 @@ def test_bench_measures_what_stands_and_says_so(files: Path, capsys: pytest.Capt
     result = json.loads(out)
     assert [row["kind"] for row in result["settings"]] == ["static"] and result["influences"] == []
     assert err.startswith("glsplat bench: five.glb: wave-and-turn cannot drive this avatar: no joint for head")
-    assert err.splitlines()[0].endswith("measured standing still")  # a line on a busy machine may follow
+    (line,) = but_the_gate(err)
+    assert line.endswith("measured standing still")
     assert main(["bench", "five.glb", "--sizes", "16", "--frames", "3", "--json", "--static"]) == 0
-    assert "standing still" not in capsys.readouterr().err  # nothing else was asked for
+    assert not but_the_gate(capsys.readouterr().err)  # nothing else was asked for
     for words, text in ((["five.glb"], "by no motion: no joint for head"), ([], "by motions and headsets")):
         assert main(["inspect", *words]) == 0
         assert f"driven       {text}" in capsys.readouterr().out
