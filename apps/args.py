@@ -282,7 +282,7 @@ def add_detail(parser: argparse.ArgumentParser, *, lean: bool) -> None:
         )
 
 
-_LEAN = ("level", "cull_hidden", "max_sigma")  # fields of LEAN that differ from the pixel contract
+_LEAN = ("target", "level", "cull_hidden", "max_sigma")  # fields of LEAN that differ from the pixel contract
 
 
 def detail_of(args: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ MAX_BIAS = 8.0
 MAX_SIGMA = 3.33
 """Radius of an opaque splat in standard deviations: alpha is 1/255 there."""
 
-Target = Literal["auto", "8", "16f", "32f"]
+Target = Literal["auto", "fast", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
 
 
@@ -105,7 +105,7 @@ class RenderConfig:
     RenderConfig(output='float32', cull_hidden=True)
     """
 
-    target: Target = "auto"  # float target; auto = 32f on software rasterizers, 16f on GPUs
+    target: Target = "auto"  # of the blending; auto: 32f on software rasterizers, 16f on GPUs; fast: 8 instead of 32f
     output: Output = "uint8"  # uint8: resolved to 8 bit; float32: the unclipped target
     sorter: Literal["auto", "cpu", "gpu"] = "auto"  # gpu needs OpenGL 4.3; auto: cpu on software
     # rasterizers, gpu above 65,536 splats, else the faster in a measurement of some ms
@@ -119,7 +119,7 @@ class RenderConfig:
     debug: DebugConfig = DebugConfig()
 
     def __post_init__(self) -> None:
-        _choose(self, "target", "auto", "8", "16f", "32f")
+        _choose(self, "target", "auto", "fast", "8", "16f", "32f")
         _choose(self, "output", "float32", "uint8")
         _choose(self, "sorter", "auto", "cpu", "gpu")
         _choose(self, "sh_degree", 0, 1, 2, 3)
@@ -149,5 +149,5 @@ def with_fields(config: RenderConfig, **values: Any) -> RenderConfig:
     return replace(config, **values, debug=replace(debug, **of_debug))
 
 
-LEAN = RenderConfig(cull_hidden="auto", level="auto", max_sigma=2.5)
+LEAN = RenderConfig(target="fast", cull_hidden="auto", level="auto", max_sigma=2.5)
 """Default of ``serve``, ``preview`` and ``demo`` without ``--exact``: faster, with barely visible differences."""

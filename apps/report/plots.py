@@ -30,7 +30,7 @@ def precision_plot(results: Sequence[dict[str, Any]]) -> bytes:
                 continue
             _precision(axes, result["rows"], key)
             axes.set(xscale="log", xlabel="ms a frame (median, line: 95 % interval)", ylabel=label)
-            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 4, 6, 8), numticks=20))
             axes.xaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_formatter(NullFormatter())
             axes.grid(alpha=0.3)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from glsplat.arrays import flag
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import ContextError, GlsplatError, PoseError
@@ -17,7 +16,7 @@ from glsplat.skinning.pose import Pose
 
 __all__ = [
     *("Depths", "Images", "Pixel", "Views"),
-    *("check_driver", "checked_depth", "checked_out", "checked_pose", "checked_views"),
+    *("check_driver", "checked_out", "checked_pose", "checked_views"),
 ]
 
 if TYPE_CHECKING:
@@ -73,13 +72,6 @@ def checked_pose(pose: Pose | None, joints: int, what: str) -> Pose:
     if len(pose.rotations) != joints:
         raise PoseError(f"the pose has {len(pose.rotations)} joints, the {what} {joints}")
     return pose
-
-
-def checked_depth(depth: bool, dtype: str) -> bool:
-    """Return whether depths are wanted. Raises GlsplatError for a target whose alpha is too coarse to divide by."""
-    if flag(depth, "depth", GlsplatError) and dtype == "f1":
-        raise GlsplatError("depth needs a float target, 8 bits of alpha make it metres off; use target='16f' or '32f'")
-    return bool(depth)
 
 
 def checked_out(out: Images | None, shape: tuple[int, ...], dtype: DTypeLike) -> Images:

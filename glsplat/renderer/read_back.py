@@ -34,11 +34,9 @@ def read_floats(target: Target, out: NDArray[np.float32]) -> None:
 def read_depth(target: Target) -> NDArray[np.float32]:
     """Return the expected camera z [V, H, W] in metres, 0 where nothing was drawn."""
     assert target.depth is not None
-    colour = np.empty(target.shape, np.float32)
-    read_floats(target, colour)
-    total = np.frombuffer(target.depth.read(), np.float32).reshape(target.shape[:3])
-    alpha = colour[..., 3]
-    return np.divide(total, alpha, out=np.zeros_like(total), where=alpha > 0)
+    sums = np.frombuffer(target.depth.read(), np.float32).reshape(*target.shape[:3], 2)
+    z, weight = sums[..., 0], sums[..., 1]
+    return np.divide(z, weight, out=np.zeros_like(z), where=weight > 0)
 
 
 def read_bytes(target: ByteTarget, out: NDArray[np.uint8], box: Box) -> None:

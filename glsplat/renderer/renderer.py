@@ -107,10 +107,12 @@ class Renderer:
 
     @property
     def target_dtype(self) -> str:
-        """moderngl dtype of the float target: the configured one, else f4 on software rasterizers and f2 on GPUs."""
-        if self.config.target == "auto":
-            return FORMATS["32f" if self.context.software else "16f"]
-        return FORMATS[self.config.target]
+        """moderngl dtype of the target: the configured one, else f2 on GPUs, f4 on software rasterizers (fast: f1).
+
+        Mesa's software rasterizers round when they blend 8 bits; GPUs may cut off, and low opacities would band.
+        """
+        chosen = {"auto": "32f", "fast": "8"} if self.context.software else {"auto": "16f", "fast": "16f"}
+        return FORMATS[chosen.get(self.config.target, self.config.target)]
 
     @property
     def programs_compiled(self) -> int:
@@ -171,11 +173,10 @@ class Renderer:
         Colours are multiplied by their alpha already (premultiplied); ``glsplat.straight(image)`` divides it out again,
         for PNG files and image libraries. float32 (unclipped) or uint8 by ``config.output``. With ``depth`` also
         [V, H, W] float32: camera z in metres, the mean of the splats and meshes of a pixel by their weight; 0 where
-        alpha is 0. A 16F target is centimetres off where alpha is small; an 8-bit target has no depth. The arrays are
-        new with each call, except ``out``. Raises PoseError for a pose that does not fit, GlsplatError for all else; a
-        failed call leaves the renderer unchanged.
+        nothing was drawn. The arrays are new with each call, except ``out``. Raises PoseError for a pose that does not
+        fit, GlsplatError for all else; a failed call leaves the renderer unchanged.
         """
-        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(views)
+        depth, cameras = flag(depth, "depth", GlsplatError), self._views(views)
         with self._entered("render"):
             cameras = self._update(cameras, pose)
             images, depths = self._pictures(cameras, out, depth)
@@ -206,7 +207,7 @@ class Renderer:
         the next call. If hidden splats were left out, the caller has to compensate for them (``Target.lift``,
         lift.glsl).
         """
-        depth, cameras = checks.checked_depth(depth, self.target_dtype), self._views(views)
+        depth, cameras = flag(depth, "depth", GlsplatError), self._views(views)
         if len(cameras) > 2:
             raise GlsplatError(f"draw() takes one view or a pair, not {len(cameras)}; render() takes any number")
         with self._entered("draw"):

@@ -30,7 +30,7 @@ _NUMPY = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}
 class Target:
     """Colour for V views of one size: premultiplied RGB over the background, and accumulated alpha.
 
-    With ``depth`` a second texture array takes the sum of weight times camera z (metres).
+    With ``depth`` a second texture array takes the sums of weight times camera z (metres) and of weight.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Target:
             self.texture: moderngl.TextureArray = owned(stack, ctx.texture_array(size, 4, dtype=dtype))
             self.depth: moderngl.TextureArray | None = None
             if depth:
-                self.depth = owned(stack, ctx.texture_array(size, 1, dtype="f4"))
+                self.depth = owned(stack, ctx.texture_array(size, 2, dtype="f4"))
             attached = [self.texture] if self.depth is None else [self.texture, self.depth]
             for texture in attached:
                 texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
@@ -68,7 +68,7 @@ class Target:
     @property
     def nbytes(self) -> int:
         """GPU bytes of the textures."""
-        pixel = 4 * self.numpy_dtype.itemsize + (0 if self.depth is None else 4)
+        pixel = 4 * self.numpy_dtype.itemsize + (0 if self.depth is None else 8)
         return int(np.prod(self.shape[:3])) * pixel
 
     def release(self) -> None:

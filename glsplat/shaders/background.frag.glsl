@@ -26,7 +26,7 @@ void main() {
 #endif
         fragment = mesh;
 #if DEPTH
-        depth = vec4(mesh_z_at(pixel, layer), 0.0, 0.0, 1.0);
+        depth = vec4(mesh_z_at(pixel, layer), 1.0, 0.0, 1.0);
 #endif
     }
 #elif SAMPLED
@@ -34,7 +34,7 @@ void main() {
     vec4 mesh = mesh_samples_at(pixel, layer);
     fragment = vec4(mesh.rgb + (1.0 - mesh.a) * fragment.rgb, mesh.a);
 #if DEPTH
-    depth = vec4(mesh_z_at(pixel, layer), 0.0, 0.0, 1.0);
+    depth = vec4(mesh_z_at(pixel, layer), mesh.a, 0.0, 1.0);
 #endif
 #endif
 }

@@ -57,9 +57,10 @@ void main() {
     ivec3 texel = ivec3(at.x, rows - 1 - at.y, view);
     vec4 colour = texelFetch(target, texel, 0);
 #if DEPTH
-    float z = texelFetch(depth_sum, texel, 0).r * depth_range.z / colour.a;
+    vec2 sums = texelFetch(depth_sum, texel, 0).rg;
+    float z = sums.r * depth_range.z / sums.g;
     float deep = (1.0 - depth_range.x / z) * depth_range.y / (depth_range.y - depth_range.x);
-    gl_FragDepth = colour.a > 0.0 ? clamp(deep, 0.0, 1.0) : 1.0;
+    gl_FragDepth = sums.g > 0.0 ? clamp(deep, 0.0, 1.0) : 1.0;
 #endif
 #if LIFTED
     colour = lifted(colour, view == 0 ? first_background : second_background);

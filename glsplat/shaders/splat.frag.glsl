@@ -13,7 +13,7 @@ flat in float splat_z;
 #endif
 layout(location = 0) out vec4 fragment;
 #if DEPTH
-layout(location = 1) out vec4 depth;  // weight times z; alpha is for blending only
+layout(location = 1) out vec4 depth;  // weight times z, and weight; alpha is for blending only
 #endif
 
 void main() {
@@ -29,6 +29,6 @@ void main() {
 #endif
     fragment = vec4(splat_colour.rgb * alpha, alpha);
 #if DEPTH
-    depth = vec4(splat_z * alpha, 0.0, 0.0, alpha);
+    depth = vec4(splat_z * alpha, alpha, 0.0, alpha);
 #endif
 }

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from glsplat.config import RenderConfig, with_fields
+from glsplat.config import LEAN, RenderConfig, with_fields
 from glsplat.gl.context import Context, create_context
 from glsplat.renderer import Renderer
 from tests.scenes import camera, cloud, eyes, limb
@@ -75,6 +75,12 @@ def test_gpus_draw_instanced_quads_into_two_layers(named: Named, driver: str) ->
             assert variant.geometry == int(not context.vertex_layers)  # gl_Layer by the vertex shader where it can
             assert renderer.target_dtype == "f2"
             assert image[0].any() and image[1].any() and (image[0] != image[1]).any()
+
+
+@pytest.mark.parametrize(("name", "dtype"), [(SOFTWARE["llvmpipe"], "f1"), (GPUS["NVIDIA"], "f2")])
+def test_a_fast_target_has_8_bits_where_blending_rounds(named: Named, name: str, dtype: str) -> None:
+    with Renderer(cloud(20), size=(32, 32), config=LEAN, context=named(name)) as renderer:
+        assert renderer.target_dtype == dtype
 
 
 @pytest.mark.parametrize("name", [SOFTWARE["llvmpipe"], GPUS["NVIDIA"]])

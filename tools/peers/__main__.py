@@ -9,6 +9,7 @@ draws, reads back and encodes as a server does.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import functools
 import json
@@ -221,4 +222,8 @@ def main(folder: Path, sides: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), [int(side) for side in sys.argv[2:]] or [512, 1024])
+    parser = argparse.ArgumentParser(description="Measure other viewers beside glsplat; minutes of a quiet machine.")
+    parser.add_argument("folder", type=Path, help="where npm installs them, and a picture of each is left")
+    parser.add_argument("sides", type=int, nargs="*", default=[512, 1024], help="pixels a side")
+    args = parser.parse_args()
+    main(args.folder, args.sides)

@@ -129,13 +129,19 @@ def serve_lines(way: Way, default: Way, auto: bool, size: tuple[int, int]) -> li
     """
     exact = way.sigma == MAX_SIGMA and not way.level and not way.hidden
     lean = way.sigma == LEAN.max_sigma and (way.hidden or not auto)
-    same = replace(default, level=way.level, hidden=way.hidden, sigma=way.sigma, scale=way.scale, jpeg=way.jpeg)
+    target = default.target if exact else fast_target(default)
+    same = Way(way.level, way.hidden, way.sigma, target, degree=default.degree, scale=way.scale, jpeg=way.jpeg)
     if not way.jpeg or way.jpeg[1] != SERVED[1] or not (exact or lean) or way != same:
         return None
     lines = ["exact = true"] if exact else [f"level = {way.level}"]
     lines += ["cull-hidden = true"] if way.hidden and not auto else []
     width, height = (round(side * way.scale) for side in size)
     return [*lines, f"quality = {way.jpeg[0]}", f'size = "{width}x{height}"']
+
+
+def fast_target(default: Way) -> Literal["8", "16f", "32f"]:
+    """Return the target of ``RenderConfig(target="fast")`` on the driver of ``default``."""
+    return "8" if default.target == "32f" else default.target
 
 
 def lpips_if_there() -> Lpips | None:
@@ -201,8 +207,7 @@ class _Study:
         self._coarsest = len(subject.scene.levels)
         level = self._auto_level()
         lean = [
-            replace(self.default, level=n, hidden=self._culls(n), sigma=LEAN.max_sigma)
-            for n in range(level, self._coarsest + 1)
+            Way(n, self._culls(n), LEAN.max_sigma, fast_target(self.default)) for n in range(level, self._coarsest + 1)
         ]
         self._served = lean[0]
         self._adapted = [*lean, *(replace(lean[-1], scale=scale) for scale in SCALES[1:])]

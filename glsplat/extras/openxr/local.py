@@ -122,8 +122,7 @@ class LocalShow:
     def attach(self, runtime: Runtime) -> None:
         """Make swapchains of the runtime's size."""
         size = fitting(runtime, self._scale, self._context.max_size)
-        deep = self._depth and self._renderer.target_dtype != "f1"
-        self._eyes = EyeSwapchains(runtime, self._context, size, deep)
+        self._eyes = EyeSwapchains(runtime, self._context, size, self._depth)
         self._renderer.resize(*size)
 
     def detach(self) -> None:

@@ -22,12 +22,10 @@ _MIN_ALPHA = 0.1  # of a point that has a depth: the depth of a partly covered p
 
 
 def depth_grids(renderer: Renderer, views: Sequence[Camera], pose: Pose | None = None) -> tuple[DepthGrid, ...]:
-    """Return a grid for each view, in its units; none where the renderer's target has no depth (8 bits).
+    """Return a grid for each view, in its units.
 
     Changes the renderer's size, selector, step and statistics.
     """
-    if renderer.target_dtype == "f1":
-        return ()
     renderer.selector, renderer.step = Selector(), None
     renderer.resize(GRID_SIDE, GRID_SIDE)
     images, depths = renderer.render([_spread(view) for view in views], pose, depth=True)

@@ -68,9 +68,9 @@ def test_options_of_render_parse_to_the_way(way: Way) -> None:
 
 @pytest.mark.parametrize(("way", "auto"), [
     (Way(jpeg=SERVED), True),
-    (Way(level=2, hidden=True, sigma=LEAN.max_sigma, jpeg=(90, "420"), scale=0.5), True),
-    (Way(level=1, hidden=True, sigma=LEAN.max_sigma, jpeg=SERVED), False),
-    (Way(level=1, sigma=LEAN.max_sigma, jpeg=SERVED), False),
+    (Way(2, True, LEAN.max_sigma, "8", jpeg=(90, "420"), scale=0.5), True),
+    (Way(1, True, LEAN.max_sigma, "8", jpeg=SERVED), False),
+    (Way(1, False, LEAN.max_sigma, "8", jpeg=SERVED), False),
 ])  # fmt: skip
 def test_lines_of_serve_parse_to_the_way(way: Way, auto: bool, tmp_path: Path) -> None:
     lines = serve_lines(way, BASE, auto, (512, 512))
@@ -79,6 +79,8 @@ def test_lines_of_serve_parse_to_the_way(way: Way, auto: bool, tmp_path: Path) -
     file.write_text("\n".join(lines))
     args = ServeOptions(**read_options(file))
     config = RenderConfig(**{"target": "32f", **detail_of(args)})
+    if config.target == "fast":
+        config = replace(config, target="8")
     if config.cull_hidden == "auto":
         config = replace(config, cull_hidden=auto)
     assert config == way.config(RenderConfig()) and way.jpeg == (args.quality, "420")
@@ -90,7 +92,7 @@ def test_ways_without_options_have_none() -> None:
         assert render_words(way, BASE) is None
     for way in (BASE, Way(jpeg=(80, "444")), Way(target="8", jpeg=SERVED), Way(level=1, jpeg=SERVED)):
         assert serve_lines(way, BASE, True, (64, 64)) is None
-    assert serve_lines(Way(sigma=2.5, jpeg=SERVED), BASE, True, (64, 64)) is None  # serve would cull
+    assert serve_lines(Way(sigma=2.5, target="8", jpeg=SERVED), BASE, True, (64, 64)) is None  # serve would cull
 
 
 def row(way: Way, ms: float, psnr: float, lpips: float | None, **more: Any) -> dict[str, Any]:
@@ -146,9 +148,10 @@ def test_old_orders_are_compared_at_their_oldest(context: Context) -> None:
 def test_the_page(tmp_path: Path) -> None:
     """One size with LPIPS, one without its weights."""
     pytest.importorskip("matplotlib")
-    served = Way(level=1, sigma=2.5, jpeg=SERVED)
+    served = Way(level=1, sigma=2.5, target="8", jpeg=SERVED)
     many = [row(Way(level=n), 40 - n, 60 - n, 0.001 * n) for n in range(1, 16)]
     rows = [row(BASE, 41, 110, 0.0, marks=["render"]), row(served, 9, 33, 0.009, marks=["serve"]), *many]
+    rows.append(row(Way(scale=0.5), 39, 57, 0.02, marks=["--fps"], front=False))
     result = {"scene": "a cloud", "splats": 1000, "views": 2, "size": [512, 512], "frames": 24, "rows": rows}
     result |= {"quiet": {"others": 0.01, "noise": 0.002}, "searched": [{"ms": 3.0, "psnr": 30.0}]}
     blind = result | {"rows": [one | {"lpips": None} for one in rows], "size": [64, 64]}
@@ -157,8 +160,10 @@ def test_the_page(tmp_path: Path) -> None:
     assert name == "cloud-512" and "other processes used 1.0% of the cores" in about
     lines = [line for line in text.splitlines() if line.startswith("| ")][1:]
     assert len(lines) == page.MOST_ROWS and lines[0].startswith(
-        "| level 1, 2.5 sigma, q80 420 | 9.0 | 8.0 - 10.0 | 18.0 |"
+        "| level 1, 2.5 sigma, target 8, q80 420 | 9.0 | 8.0 - 10.0 | 18.0 |"
     )
     assert lines[-1].endswith("default of `render`, front |") and "| level 15 | 25.0" in text
     assert "Use `glsplat render --level 10`" in text and "`level = 1`" in text
+    assert "Off the front: `0.5 x` of `--fps`; `level 3` is 5% faster and 0.0 dB closer." in text
+    assert text.count("Off the front") == 1
     assert "](../images/precision-cloud.png)" in text and (tmp_path / "precision-cloud.png").stat().st_size > 1000

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from glsplat.camera import head_matrix, stereo_cameras
-from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.depth import depth_grids
@@ -24,7 +23,7 @@ from glsplat.net.worker.process import process_worker
 from glsplat.net.worker.thread import ThreadWorker
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
-from tests.net.running import opened, working
+from tests.net.running import working
 from tests.net.wire import HANG, native
 
 SIZE = (320, 256)
@@ -64,12 +63,6 @@ async def test_the_pictures_are_what_they_are_without_it(own_process):
             if rendered.done is not None:
                 rendered.done()
         assert shown[0] == shown[1] == shown[2]
-
-
-@pytest.mark.gl
-def test_a_target_of_8_bits_has_none():
-    with opened(RendererBackend(default_avatar(), SIZE, config=RenderConfig(target="8", output="uint8"))) as backend:
-        assert backend.render(job()).depth == ()
 
 
 async def test_it_is_sent_to_clients_that_ask(serve, fake_backend):

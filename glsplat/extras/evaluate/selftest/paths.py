@@ -33,7 +33,7 @@ __all__ = ["SCENES", "RenderPath", "contract_cases", "paths_of"]
 F64 = NDArray[np.float64]
 
 MIN_PSNR_16F = 50.0  # dB; also of 8-bit pictures
-MAX_MEAN_DEPTH_ERROR_M = {"32f": 1e-4, "16f": 1e-2}  # at 3 m; the sum is divided by an alpha of the target's format
+MAX_MEAN_DEPTH_ERROR_M = 1e-4  # at 3 m
 _SIZE = (96, 64)
 _WALL_EDGE_X = 0.137  # metres; no pixel centre of the views is within 0.1 pixels of it
 _WALL_COLOUR = (200, 60, 20)
@@ -146,7 +146,7 @@ def _drawn(context: Context, scene: ContractScene, path: RenderPath, count: int)
     off = float(np.abs(depth - expected_depth)[seen].mean()) if seen.any() else 0.0
     faults = [
         *(["not the bytes of the first time"] if not np.array_equal(first, image) else []),
-        *([f"depth off by {off:.1e} m"] if not off <= MAX_MEAN_DEPTH_ERROR_M[path.target] else []),
+        *([f"depth off by {off:.1e} m"] if not off <= MAX_MEAN_DEPTH_ERROR_M else []),
     ]
     held = (error.contract if exact else error.psnr >= MIN_PSNR_16F) and not faults
     return Outcome(held, error.maximum, "of 1", "; ".join([f"{error.psnr:.1f} dB", *faults]))
