@@ -31,6 +31,7 @@ from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
 from tests.conftest import SHARED_DATA
 from tools.docs import precision
+from tools.docs.approximations import ABOUT, others_plot
 from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -274,7 +275,10 @@ def written_precision(person: Path, minutes: float) -> bytes:
     found = precision.measured(ROOT / "out" / "measured" / "precision", person, minutes)
     how = "python -m tools.docs.measured precision --person PERSON.glb"
     said = f"{_said(None)} {precision.about_errors()}"
-    return page_of("Work and precision", how, said, precision.page(found, ROOT / "docs" / "images"))
+    images = ROOT / "docs" / "images"
+    replace_file(images / "precision-others.png", [others_plot(FOLDER)])
+    others = ("others", ABOUT, "![Solver, JPEGs, splats of a fit, late pictures](../images/precision-others.png)")
+    return page_of("Work and precision", how, said, [*precision.page(found, images), others])
 
 
 def _noise() -> float:

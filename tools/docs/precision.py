@@ -149,16 +149,20 @@ def use(result: dict[str, Any]) -> str:
 
 
 def off_front(rows: Sequence[dict[str, Any]]) -> str:
-    """Return a sentence for each drawn default that another setting beats in time and PSNR; "" if there is none."""
+    """Return a sentence for each drawn default that another setting beats in PSNR, and in time by more than the noise.
+
+    "" if there is none.
+    """
     drawn, found = [row for row in rows if row["way"]["jpeg"] is None], ""
     for row in drawn:
         if row["marks"] and not row["front"]:
             better = min((r for r in drawn if r["front"] and r["psnr"] >= row["psnr"]), key=lambda r: r["ms"])
             faster, closer = row["ms"] / better["ms"] - 1, better["psnr"] - row["psnr"]
-            found += (
-                f" Off the front: `{row['words']}` of `{row['marks'][0]}`; `{better['words']}` is {faster:.0%} faster "
-                f"and {closer:.1f} dB closer."
-            )
+            if faster > MAX_SHARE:
+                found += (
+                    f" Off the front: `{row['words']}` of `{row['marks'][0]}`; `{better['words']}` is {faster:.0%} "
+                    f"faster and {closer:.1f} dB closer."
+                )
     return found
 
 
