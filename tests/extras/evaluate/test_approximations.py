@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("matplotlib")
-from tools.docs.approximations import others_plot  # noqa: E402
-from tools.docs.measured import FOLDER  # noqa: E402
+from tools.docs.approximations import others_plot
+from tools.docs.measured import FOLDER
 
 
 def test_the_pages_have_the_tables(tmp_path: Path) -> None:
