@@ -216,7 +216,7 @@ def main(folder: Path, sides: list[int]) -> None:
         f"{os.getloadavg()[0]:.1f} before. A frame of both eyes of all 40,000 splats of the embedded avatar with a "
         "circling camera, drawn by ANGLE on Mesa's software driver; the median, and CPU time of all processes. "
         f"{', '.join(PACKAGES)}. Peers show a still pose: none has skinned splats. Rasterizers on PyPI are "
-        "missing: splax 0.2.3 refuses JAX on a CPU, and gsplat 1.5 needs CUDA for its tiles."
+        "missing: splax 0.2.3 refuses JAX on a CPU, and gsplat needs CUDA for its tiles."
     )
     text = page_of("Other viewers", "python -m tools.peers FOLDER", said, compared(folder, sides))
     replace_file(FOLDER / "peers.md", [text])
