@@ -28,8 +28,6 @@ from glsplat.splats import SH_C0
 from ..output import label, stack
 from .guide import A_POSE, FOV_DEG
 
-__all__ = ["draw"]
-
 Image = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 

@@ -36,8 +36,6 @@ from .headset_feed import FeedShow
 from .player import Others
 from .window import Window
 
-__all__ = ["run"]
-
 _MAX_SAMPLES = 72 * 60 * 30  # of a recording: half an hour
 
 

@@ -28,8 +28,6 @@ from glsplat.rotations import FLIP_X
 
 from .feed import Feed, Picture, ViewRequest
 
-__all__ = ["FeedShow"]
-
 
 @dataclass(frozen=True, eq=False)
 class _Subject:

@@ -21,8 +21,6 @@ from ..output import frame_report
 from .overlay import Line
 from .player import Player
 
-__all__ = ["LocalPictures", "PictureSource"]
-
 
 class PictureSource(Protocol):
     """A source of pictures. Calls come from the window's thread; all but ``wait_ready`` return at once."""

@@ -14,8 +14,6 @@ from glsplat.gl.context import Context, create_context
 
 from .viewer import Viewer
 
-__all__ = ["NO_DISPLAY", "Window"]
-
 NO_DISPLAY = "no display: glsplat preview needs a window; use `glsplat render` or run under xvfb-run"
 
 # highest first: some drivers return exactly the requested version; macOS has at most 4.1

@@ -11,8 +11,6 @@ from glsplat.errors import FormatError
 from glsplat.rotations import matrix_quaternions, quaternion_matrices, quaternion_product, sh_rotations
 from glsplat.splats import Splats, normalised
 
-__all__ = ["transformed"]
-
 F64 = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ import moderngl
 from glsplat.errors import ContextError
 from glsplat.gl import current
 
-__all__ = ["ContextGuard", "Owner", "State", "check_process", "destroy_when_dropped", "owner_of", "release_later"]
-
 _forks = 0  # between the first process and this one
 _made_after: int | None = None  # forks when the newest context was made
 

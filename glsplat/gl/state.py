@@ -14,8 +14,6 @@ import moderngl
 from glsplat.gl.functions import gl_functions
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["GLState"]
-
 # name -> (enum, values, least GL version). One glGet each.
 _INTEGERS: dict[str, tuple[int, int, int]] = {
     "program": (0x8B8D, 1, 330),

@@ -13,8 +13,6 @@ from glsplat.arrays import Value, frozen, plain
 from glsplat.errors import FormatError
 from glsplat.rotations import SH_FACTORS, sh_basis, sh_rotations
 
-__all__ = ["PRESETS", "Light", "sh_irradiance"]
-
 F64 = NDArray[np.float64]
 
 _MAX_VALUE = 1e4  # of a coefficient or a colour; more is a mistake of units

@@ -13,8 +13,6 @@ from glsplat.arrays import Value, frozen, own_whole
 from glsplat.errors import FormatError
 from glsplat.rotations import unit_vectors
 
-__all__ = ["SHADE_ONE", "SHADE_STEPS", "Surface", "decoded_shades", "encoded_shades"]
-
 F64 = NDArray[np.float64]
 
 SHADE_ONE, SHADE_STEPS = 192, 32

@@ -10,8 +10,6 @@ from glsplat.rotations import quaternion_of, quaternion_product, quaternion_vect
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["body_of", "fitted", "grounded", "leg_length", "turned"]
-
 F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}

@@ -14,8 +14,6 @@ from glsplat.skinning.expression import mixed
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Motion"]
-
 F64 = NDArray[np.float64]
 
 _MAX_ANGLE_RAD = 4 * np.pi  # a larger angle is in degrees

@@ -12,8 +12,6 @@ from glsplat.arrays import Value, frozen, own, own_whole, plain
 from glsplat.errors import FormatError
 from glsplat.skinning.expression import MOST_NAMES
 
-__all__ = ["BEND", "LIMITS", "Shapes", "long_axes"]
-
 F64 = NDArray[np.float64]
 
 BEND = 3.0 / 127

@@ -26,19 +26,6 @@ from typing import Any
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import ARKIT, MOST_NAMES
 
-__all__ = [
-    "BODY_JOINTS",
-    "HAND_JOINTS",
-    "MOST_JOINTS",
-    "TRACKERS",
-    "WRISTS",
-    "Sample",
-    "Transform",
-    "grouped",
-    "hand_joints",
-    "wrist_from_grip",
-]
-
 Transform = tuple[float, float, float, float, float, float, float]
 """x, y, z in metres, then the quaternion x, y, z, w."""
 

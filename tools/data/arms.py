@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.fit.standing.arms import ArmMixture
 from glsplat.rotations import quaternion_matrices
 
-__all__ = ["arms_of", "learned", "with_others", "write_mixture"]
-
 F64 = NDArray[np.float64]
 
 CREDIT = (

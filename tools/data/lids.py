@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["even_lids", "lid_corners"]
-
 F64 = NDArray[np.float64]
 
 _LID = 0.12  # of the largest move; what a blink moves farther is lid

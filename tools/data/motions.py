@@ -19,8 +19,6 @@ from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
 
-__all__ = ["library", "to_json"]
-
 F64 = NDArray[np.float64]
 FPS = 30.0
 _INDEX = {name: i for i, name in enumerate(JOINT_NAMES)}

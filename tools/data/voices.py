@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.speech.sound import Sound, read_wav
 
-__all__ = ["Said", "espeak", "flite"]
-
 
 @dataclass(frozen=True)
 class Said:

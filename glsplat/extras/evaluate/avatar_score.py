@@ -19,8 +19,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["AvatarScore", "camera_around", "compare", "score"]
-
 F64 = NDArray[np.float64]
 
 DISTANCE = 3.0  # metres from the middle of the figure

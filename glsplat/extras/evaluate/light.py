@@ -18,8 +18,6 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh, vertex_normals
 
-__all__ = ["CaptureLight", "shade_of"]
-
 F64 = NDArray[np.float64]
 
 _WRAP = 0.15  # of Lambert's cosine: (n . l + wrap) / (1 + wrap)

@@ -15,8 +15,6 @@ from glsplat.extras.evaluate.light import CaptureLight, shade_of
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Turntable", "turntable"]
-
 F64 = NDArray[np.float64]
 
 _UNEVEN = 0.2  # of a step: nobody turns like clockwork

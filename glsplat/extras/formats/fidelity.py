@@ -14,8 +14,6 @@ from glsplat.formats import registry
 from glsplat.io.files import Source
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Error", "Fidelity", "fidelity", "read_back"]
-
 F64 = NDArray[np.float64]
 
 _CHUNK = 1 << 14  # splats compared at a time

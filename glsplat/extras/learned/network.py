@@ -17,8 +17,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.formats.npz import read_arrays
 from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE_HZ
 
-__all__ = ["VERSION", "PoseNetwork", "embedded_network", "load_network", "save_network"]
-
 F32 = NDArray[np.float32]
 
 VERSION = 1

@@ -17,8 +17,6 @@ from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
 
-__all__ = ["read_amass"]
-
 F64 = NDArray[np.float64]
 
 _AMASS_KEYS = (

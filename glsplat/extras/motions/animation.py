@@ -15,8 +15,6 @@ from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.schema import Index
 from glsplat.rotations import quaternion_matrices, unit_vectors
 
-__all__ = ["Animation", "Tracks", "animations_of", "names_of", "tracks_of"]
-
 F64 = NDArray[np.float64]
 
 _PATHS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",)}

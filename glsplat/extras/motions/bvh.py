@@ -12,8 +12,6 @@ from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip, chained, check_size
 from glsplat.rotations import rotation_matrices
 
-__all__ = ["parse_acclaim", "parse_bvh", "skeleton_file"]
-
 F64 = NDArray[np.float64]
 _Bone = dict[str, NDArray[np.float64] | list[str]]
 _ACCLAIM_FPS = 120.0  # the file does not say; CMU's captures

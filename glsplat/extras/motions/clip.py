@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from glsplat.errors import PoseError
 
-__all__ = ["Clip", "chained", "check_size"]
-
 F64 = NDArray[np.float64]
 
 _MOST = 1 << 22  # joints times frames; 96 bytes each

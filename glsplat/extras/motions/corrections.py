@@ -13,8 +13,6 @@ from glsplat.motion.motion import Motion
 from glsplat.rotations import rotation_between, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["HELP", "Corrections", "split_corrections"]
-
 F64 = NDArray[np.float64]
 
 HELP = "up=z, scale=0.01, turn=180, floor=0, sides=swapped, fps=60"

@@ -15,8 +15,6 @@ from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, graph_of, instances
 from glsplat.rotations import nearest_rotations
 
-__all__ = ["read_animation"]
-
 F64 = NDArray[np.float64]
 
 _FPS, _SLOWEST, _FASTEST = 30.0, 15.0, 120.0  # of pictures; of keys that may be the pictures' rate

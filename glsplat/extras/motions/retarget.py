@@ -21,8 +21,6 @@ from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["retarget", "stretched"]
-
 F64 = NDArray[np.float64]
 
 _AT = {name: i for i, name in enumerate(JOINT_NAMES)}

@@ -14,8 +14,6 @@ from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.rotations import nearest_rotations, rotation_between, unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Standing", "flat_soles", "standing"]
-
 F64 = NDArray[np.float64]
 
 _SIDES = ("left", "right")

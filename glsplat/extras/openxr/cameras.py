@@ -14,8 +14,6 @@ from glsplat.extras.openxr.runtime import Fov, ViewPose
 from glsplat.rotations import FLIP_YZ
 from glsplat.tracking.sample import Transform
 
-__all__ = ["camera_of", "intrinsics", "matrix_of", "rigid_inverse", "sighted"]
-
 _EYES = 8  # that are remembered: a frame asks for each of its eyes several times, and every microsecond makes it late
 NEAR = 0.05
 """Metres; what is nearer to an eye than this cannot be looked at."""

@@ -31,8 +31,6 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
-__all__ = ["LocalShow"]
-
 FAR = 100.0
 """Far plane of submitted depths in metres; larger depths are clamped to it."""
 

@@ -13,8 +13,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MIRROR", "VIEWS", "Glass", "Place", "ViewName", "heading", "placing", "standing"]
-
 F64 = NDArray[np.float64]
 ViewName = Literal["mirror", "facing", "own"]
 VIEWS: tuple[ViewName, ...] = ("mirror", "facing", "own")

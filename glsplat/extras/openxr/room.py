@@ -12,8 +12,6 @@ from glsplat.extras.openxr.eyes import Surroundings
 from glsplat.extras.openxr.placing import MIRROR, Place
 from glsplat.extras.openxr.runtime import ViewPose
 
-__all__ = ["plane_from_pixel", "surroundings"]
-
 F64 = NDArray[np.float64]
 
 FRAME = 0.03  # metres around a mirror's glass

@@ -15,20 +15,6 @@ from typing import Literal, Protocol
 from glsplat.extras.openxr.eyes import DepthRange
 from glsplat.tracking.sample import Transform
 
-__all__ = [
-    "Blend",
-    "Devices",
-    "Event",
-    "Fov",
-    "FrameTiming",
-    "Hands",
-    "Projection",
-    "Runtime",
-    "State",
-    "SwapchainImages",
-    "ViewPose",
-]
-
 Blend = Literal["opaque", "additive", "alpha"]
 """XrEnvironmentBlendMode; alpha also where XR_FB_passthrough takes its place."""
 

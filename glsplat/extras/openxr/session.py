@@ -17,8 +17,6 @@ from glsplat.errors import ContextError, ContextLostError
 from glsplat.extras.openxr.runtime import Blend, FrameTiming, Projection, Runtime, State
 from glsplat.net.flow import Backoff
 
-__all__ = ["Session", "Show", "Shown"]
-
 _IDLE = 0.02  # seconds between looks at a session that does not run
 _PATIENCE = 3.0  # seconds in which a runtime lets us out, before we leave by ourselves
 _MEASURED = 512  # frames

@@ -14,8 +14,6 @@ from glsplat.extras.openxr.runtime import Projection, Runtime, SwapchainImages, 
 from glsplat.gl.context import Context
 from glsplat.renderer.targets import Target
 
-__all__ = ["EyeSwapchains", "fitting"]
-
 SRGB8, RGBA16F, RGBA8 = 0x8C43, 0x881A, 0x8058
 """GL_SRGB8_ALPHA8: our colours are encoded, and so are its bytes. Others hold light, and are converted to."""
 

@@ -11,8 +11,6 @@ from glsplat.extras.openxr.runtime import Devices, FrameTiming, Runtime
 from glsplat.extras.openxr.samples import pinched, sample_of
 from glsplat.tracking.sample import Sample
 
-__all__ = ["Moment", "Wearer"]
-
 _DOUBLE = 0.5  # seconds between two pinches of the left hand that go to the next view
 _IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 _STALE = 2.0  # seconds without a frame after which the view is placed anew: the headset was off

@@ -12,8 +12,6 @@ from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.rig import inverse_binds
 
-__all__ = ["Bound", "bound_of", "names_of_joints"]
-
 F64 = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from glsplat.rotations import nearest_rotations, rotation_between, rotation_matr
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["Humanoid", "humanoid", "reference_joints", "seated", "t_pose_turns", "upright"]
-
 F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}

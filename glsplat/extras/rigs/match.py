@@ -13,8 +13,6 @@ from glsplat.errors import PoseError
 from glsplat.extras.rigs.words import FINGERS, Word, words_of
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["NEEDED", "RigMap", "match_rig", "spine_of"]
-
 F64 = NDArray[np.float64]
 
 _SIDES = ("left", "right")

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.extras.rigs.match import spine_of
 
-__all__ = ["match_shape"]
-
 F64 = NDArray[np.float64]
 Limb = tuple[int, int, int]
 

@@ -8,8 +8,6 @@ from scipy.stats import bootstrap
 
 from glsplat.extras.statistics.ranks import TIE
 
-__all__ = ["LEVEL", "RESAMPLES", "interval_of_mean"]
-
 F64 = NDArray[np.float64]
 
 RESAMPLES = 10_000

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-__all__ = ["average_ranks", "rank_biserial", "wilcoxon"]
-
 F64 = NDArray[np.float64]
 
 TIE = 1e-9

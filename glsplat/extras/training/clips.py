@@ -14,8 +14,6 @@ from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
 
-__all__ = ["TrainingClip", "clips_of", "looks_away", "mirrored"]
-
 F32 = NDArray[np.float32]
 
 SPEEDS = (1.0, 0.87, 1.15)  # at which every motion is seen

@@ -15,8 +15,6 @@ from glsplat.extras.training.clips import TrainingClip, targets_of
 from glsplat.extras.training.disturbed import disturbed
 from glsplat.extras.training.recurrent import Learner, started
 
-__all__ = ["Lesson", "TrainingConfig", "evaluate", "features", "fit", "lessons_of", "loss", "shares_of"]
-
 F32 = NDArray[np.float32]
 
 WEIGHTS = np.array((1.0, 1.0, 1.0, 1.3, 1.3, 1.3, 1.3), np.float32)  # of the points

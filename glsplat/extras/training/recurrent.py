@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.learned.network import ARRAYS
 
-__all__ = ["Learner", "started"]
-
 F32 = NDArray[np.float32]
 Weights = dict[str, F32]
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.watermark.code import CODE_BITS
 
-__all__ = ["BAND", "TILE", "Pattern", "pattern_of"]
-
 TILE = 64
 """Pixels per side: eight JPEG blocks, and a power of two, which divides usual picture sizes."""
 

@@ -13,8 +13,6 @@ from glsplat.formats.gltf.container import item
 from glsplat.formats.gltf.schema import Gltf, Node, Primitive
 from glsplat.rotations import quaternion_matrices
 
-__all__ = ["Graph", "Instance", "graph_of", "instances", "only_moves"]
-
 F64 = NDArray[np.float64]
 
 

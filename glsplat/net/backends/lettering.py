@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.renderer.stats import Box, union
 
-__all__ = ["write_notice"]
-
 _MIN_LINE_PX = 12.0  # of a line
 _LINE_SHARE = 0.03  # of the picture's height, a line
 _MAX_BOARD_SHARE = 0.5  # of the picture's height: all lines of a board at most

@@ -25,8 +25,6 @@ from glsplat.net.wire_schema import PictureParams, Want
 from glsplat.optional import missing, plugin
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Client", "ReceivedReply"]
-
 _MAX_REPLY_BYTES = 64 * 1024 * 1024
 
 

@@ -22,19 +22,6 @@ from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
 
-__all__ = [
-    "AT_ORIGIN",
-    "MAX_BODIES",
-    "PersonPose",
-    "Placement",
-    "PoseHistory",
-    "Poses",
-    "for_recipient",
-    "pack_body",
-    "placement_of",
-    "unpack_bodies",
-]
-
 F64 = NDArray[np.float64]
 
 MAX_BODIES = 255  # of one reply

@@ -19,8 +19,6 @@ from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import WHOLE, decibel
 from glsplat.extras.evaluate.metrics.structure import inner_mean, ssim_map
 
-__all__ = ["BOXED", "MEASURES", "PARTED", "Reference", "Scores"]
-
 F64 = NDArray[np.float64]
 
 MEASURES = ("l1", "lpips", "psnr", "ssim")

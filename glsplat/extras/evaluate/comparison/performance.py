@@ -16,8 +16,6 @@ from glsplat.rotations import slerp
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["RATE", "TASKS", "Performance", "perform", "perform_motion"]
-
 F64 = NDArray[np.float64]
 
 RATE = 72.0

@@ -24,8 +24,6 @@ from glsplat.renderer import Renderer
 from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Stage", "StageTruth"]
-
 Picture = NDArray[np.uint8]
 _REACH = 0.02  # of the picture; what lies farther from the figure is no body part's
 

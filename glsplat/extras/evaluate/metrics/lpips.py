@@ -17,8 +17,6 @@ from .onnx import model, output
 from .pixels import checked
 from .weights import BACKBONES, read_weights
 
-__all__ = ["Lpips"]
-
 F32 = NDArray[np.float32]
 
 _SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained

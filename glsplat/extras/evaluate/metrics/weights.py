@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 
-__all__ = ["BACKBONES", "Backbone", "Weights", "read_weights"]
-
 F32 = NDArray[np.float32]
 
 

@@ -28,8 +28,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
 
-__all__ = ["SCENES", "RenderPath", "contract_cases", "paths_of"]
-
 F64 = NDArray[np.float64]
 
 MIN_PSNR_16F = 50.0  # dB; also of 8-bit pictures

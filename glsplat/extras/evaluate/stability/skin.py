@@ -21,8 +21,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["chain", "expressive", "skin_cases"]
-
 POSITION, COVARIANCE = 1e-5, 1e-4  # gates of docs/skinning.md: metres, relative
 SWEEP = 0.5  # degrees a step
 F64 = NDArray[np.float64]

@@ -23,8 +23,6 @@ from glsplat.extras.operations.certificate import short_lived_certificate
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
-__all__ = ["DatagramListener"]
-
 _CERTIFICATE_LIFE = timedelta(days=12)  # browsers accept 14, one of them in the past
 _CERTIFICATE_RENEWAL = timedelta(days=5)
 _IDLE_TIMEOUT_S = 30.0

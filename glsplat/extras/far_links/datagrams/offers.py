@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-__all__ = ["LASTS", "Offers"]
-
 LASTS = 10.0
 """Seconds for which a secret is good."""
 

@@ -30,8 +30,6 @@ from glsplat.extras.far_links.datagrams.roles import PathUser
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.messages import MAX_MESSAGE_BYTES
 
-__all__ = ["DatagramPath"]
-
 _HANDSHAKE_S = 5.0  # from the first packet to an accepted session
 _GRACE_S = 0.05  # by which a client's answer may follow QUIC's acknowledgement
 _SILENT_S = 1.0  # and four round trips: a path is closed if nothing is heard of a picture for longer

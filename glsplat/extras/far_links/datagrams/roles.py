@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Protocol
 
-__all__ = ["Host", "Path", "PathUser"]
-
 
 class PathUser(Protocol):
     """What a path tells its client. All of it is called on the event loop, and is to return at once."""

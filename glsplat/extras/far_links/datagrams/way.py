@@ -16,8 +16,6 @@ from glsplat.extras.far_links.link_control import LinkControl
 if TYPE_CHECKING:
     from glsplat.net.session import Session
 
-__all__ = ["LONG", "SecondWay"]
-
 LONG = 0.008
 """Seconds there and back from which on it is worth it: what TCP waits for a lost packet. A machine's own are below."""
 _AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until it is offered again, times so much each time; how often

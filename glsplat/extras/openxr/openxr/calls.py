@@ -9,8 +9,6 @@ from typing import Any
 
 from glsplat.errors import ContextError, ContextLostError
 
-__all__ = ["INSTALL", "called", "function", "pyopenxr", "quietly"]
-
 INSTALL = "pip install 'glsplat[openxr]'"
 
 

@@ -15,8 +15,6 @@ from glsplat.extras.openxr.runtime import Blend, Devices, Event, Fov, FrameTimin
 from glsplat.gl.context import Context
 from glsplat.tracking.sample import Transform
 
-__all__ = ["OpenXrRuntime", "offered"]
-
 DEPTH, LOCAL_FLOOR, PASSTHROUGH = "XR_KHR_composition_layer_depth", "XR_EXT_local_floor", "XR_FB_passthrough"
 EYES = 1.6
 """Metres above the floor, where the device knows no floor."""

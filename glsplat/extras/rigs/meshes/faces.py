@@ -13,8 +13,6 @@ from glsplat.formats.gltf.nodes import Instance
 from glsplat.meshes import Morphs
 from glsplat.skinning.expression import ARKIT, arkit_name
 
-__all__ = ["Faces"]
-
 F64 = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["faces_back", "on_the_floor"]
-
 F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}

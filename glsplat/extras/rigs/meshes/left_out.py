@@ -12,8 +12,6 @@ from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph, Instance
 
-__all__ = ["TRIANGLES", "LeftOut", "apart", "carried", "nearest", "refuse_packed", "survey"]
-
 F64 = NDArray[np.float64]
 
 TRIANGLES = (4, 5, 6)

@@ -25,8 +25,6 @@ from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["mesh_of", "read_gltf_person"]
-
 F64 = NDArray[np.float64]
 
 _MOST = 1 << 25  # vertices and corners of triangles

@@ -24,8 +24,6 @@ from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.rig import MAX_JOINTS, joint_names, joint_parents
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["Rig", "rig_of"]
-
 F64 = NDArray[np.float64]
 
 _SAID = 3  # joints; with no more than that, names say nothing

@@ -15,8 +15,6 @@ from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Instance
 from glsplat.formats.gltf.schema import Primitive
 
-__all__ = ["Materials", "Surface", "surface_of"]
-
 F64 = NDArray[np.float64]
 
 _UV, _COLOUR = "texture coordinates (now 0, 0)", "vertex colours (now white)"

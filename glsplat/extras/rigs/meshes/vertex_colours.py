@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from glsplat.meshes import MeshPart
 from glsplat.pictures import to_linear, to_srgb
 
-__all__ = ["painted"]
-
 F64 = NDArray[np.float64]
 
 _LEAST, _UNEVEN, _MOST = 3, 9, 24  # texels a side of a square; three hold what three corners say

@@ -12,8 +12,6 @@ from typing import Self
 from glsplat.errors import GlsplatError
 from glsplat.extras.speech.face.feed import FaceFeed
 
-__all__ = ["FaceListener"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _HOST = "127.0.0.1"

@@ -17,8 +17,6 @@ from glsplat.extras.statistics.ranks import TIE, average_ranks
 from .effects import Effect
 from .table import Table
 
-__all__ = ["aligned", "aligned_for_contrasts", "ranked", "ranked_for_contrasts", "spread_ranks", "step_of"]
-
 F64 = NDArray[np.float64]
 
 DRAWS = 25

@@ -19,19 +19,6 @@ from .effects import Effect, effects_of
 from .repeated import FTest
 from .table import Table
 
-__all__ = [
-    "Contrast",
-    "Model",
-    "ModelName",
-    "art",
-    "art_contrasts",
-    "art_spread",
-    "choose",
-    "conditions",
-    "name_of",
-    "stray",
-]
-
 F64 = NDArray[np.float64]
 ModelName = Literal["auto", "rm", "mixed"]
 

@@ -19,8 +19,6 @@ from glsplat.io.files import open_regular
 
 from .table import number_of, read_rows
 
-__all__ = ["Codebook", "Measure", "item_answers", "read_codebook", "wide_items"]
-
 F64 = NDArray[np.float64]
 
 MOST_BYTES = 4 << 20

@@ -13,8 +13,6 @@ from scipy.special import ncfdtr
 from glsplat.extras.statistics.bootstrap import LEVEL, RESAMPLES
 from glsplat.extras.statistics.ranks import TIE
 
-__all__ = ["EffectSize", "cliffs_delta", "partial_eta_squared"]
-
 F64 = NDArray[np.float64]
 
 

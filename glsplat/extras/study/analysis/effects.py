@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import helmert
 
-__all__ = ["Effect", "averages", "effects_of", "hypothesis", "kron"]
-
 F64 = NDArray[np.float64]
 
 Effect = tuple[int, ...]

@@ -24,8 +24,6 @@ from .effects import Effect, averages, hypothesis
 from .repeated import NOTHING, FTest
 from .table import Table
 
-__all__ = ["Fit", "contrasts", "fit", "test"]
-
 F64 = NDArray[np.float64]
 
 

@@ -22,8 +22,6 @@ from .effects import Effect, averages
 from .repeated import split
 from .table import Table
 
-__all__ = ["MOST_CONDITIONS", "Omnibus", "Pair", "friedman", "kruskal_wallis", "plain_tests"]
-
 F64 = NDArray[np.float64]
 
 MOST_CONDITIONS = 24

@@ -16,8 +16,6 @@ from scipy.special import fdtri
 from glsplat.errors import FormatError
 from glsplat.extras.statistics.bootstrap import LEVEL
 
-__all__ = ["Reliability", "reliability"]
-
 F64 = NDArray[np.float64]
 
 SMALLEST = 0.005

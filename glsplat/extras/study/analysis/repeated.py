@@ -17,8 +17,6 @@ from scipy.special import fdtrc
 from .effects import Effect, averages, hypothesis, kron
 from .table import Table
 
-__all__ = ["FTest", "Split", "contrast_rows", "f_tests", "split"]
-
 F64 = NDArray[np.float64]
 
 NOTHING = 1e-12

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
-__all__ = ["Factor", "Table", "make_table", "number_of", "read_rows", "read_table"]
-
 F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
