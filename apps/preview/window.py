@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import replace
-from types import TracebackType
 from typing import Any
 
 import moderngl
@@ -159,9 +158,7 @@ class Window:
     def __enter__(self) -> Window:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.context.release()
         self._glfw.destroy_window(self._window)
         self._glfw.terminate()

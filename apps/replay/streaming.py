@@ -55,7 +55,6 @@ class Drive(Protocol):
 
     def at(self, seconds: float) -> Driven:
         """Return the pose or tracking sample at a time >= 0."""
-        ...
 
 
 @dataclass

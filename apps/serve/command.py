@@ -29,6 +29,7 @@ from ..logs import start_logging
 from ..usage import UsageError
 from .keys import Keys, keys_of, watermark_of
 from .options import ServeOptions, add_options, check_given, naming_option
+from .options import parsed as parsed  # apps/cli.py parses with it
 from .ready import Endpoint, announce, open_page
 from .rooms import check_rooms, lit_rooms, open_rooms, voice_of
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
+from glsplat.arrays import F32
 
 RATE_HZ = 30.0  # of the network, whatever the samples' rate
 TICK_S = 1 / RATE_HZ

@@ -13,9 +13,10 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.openxr.cameras import NEAR, camera_of, sighted
 from glsplat.extras.openxr.eyes import DepthRange, Surroundings
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
 from glsplat.extras.openxr.placing import Place, ViewName
 from glsplat.extras.openxr.room import surroundings
-from glsplat.extras.openxr.runtime import FrameTiming, Projection, Runtime, ViewPose
+from glsplat.extras.openxr.runtime import FrameTiming, Projection, ViewPose
 from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
@@ -117,7 +118,7 @@ class LocalShow:
         """Whether the wearer drives an avatar."""
         return self._tracker is not None
 
-    def attach(self, runtime: Runtime) -> None:
+    def attach(self, runtime: OpenXrRuntime) -> None:
         """Make swapchains of the runtime's size."""
         size = fitting(runtime, self._scale, self._context.max_size)
         deep = self._depth and self._renderer.target_dtype != "f1"
@@ -137,7 +138,7 @@ class LocalShow:
         if self._tracker is not None:
             self._tracker.reset()
 
-    def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
+    def frame(self, runtime: OpenXrRuntime, timing: FrameTiming, focused: bool) -> Shown:
         """Track and solve the wearer, locate the eyes as late as possible, draw, and fill the swapchains."""
         eyes = self._eyes
         assert eyes is not None

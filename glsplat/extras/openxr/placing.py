@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-F64 = NDArray[np.float64]
+from glsplat.arrays import F64
+
 ViewName = Literal["mirror", "facing", "own"]
 VIEWS: tuple[ViewName, ...] = ("mirror", "facing", "own")
 """In the order in which a button goes through them."""

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
+from glsplat.arrays import F32, F64
+
 U8 = NDArray[np.uint8]
 
 THINNEST = 1e-6

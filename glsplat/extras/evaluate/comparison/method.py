@@ -39,7 +39,6 @@ class Method(Protocol):
 
         Raises GlsplatError in one line where it cannot: that participant's row then says so.
         """
-        ...
 
 
 @dataclass(frozen=True)

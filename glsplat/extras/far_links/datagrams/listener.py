@@ -16,8 +16,7 @@ from cryptography.hazmat.primitives import hashes
 from glsplat.extras.far_links.datagrams.aioquic_internals import SMALLEST_MAX_DATAGRAM_SIZE, ConnectionServer
 from glsplat.extras.far_links.datagrams.congestion import NAME
 from glsplat.extras.far_links.datagrams.offers import LASTS, Offers
-from glsplat.extras.far_links.datagrams.path import DatagramPath
-from glsplat.extras.far_links.datagrams.roles import PathUser
+from glsplat.extras.far_links.datagrams.path import DatagramPath, PathUser
 from glsplat.extras.far_links.datagrams.udp import UdpSocket, bind_udp
 from glsplat.extras.operations.certificate import short_lived_certificate
 from glsplat.net.guard.limits import address_key
