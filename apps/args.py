@@ -36,37 +36,6 @@ from .usage import UsageError
 if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
-__all__ = [
-    "Number",
-    "add_detail",
-    "add_driver",
-    "add_light",
-    "add_scene",
-    "add_solver",
-    "add_up",
-    "as_toml",
-    "colour",
-    "degrees",
-    "detail_level",
-    "detail_of",
-    "driven",
-    "expression",
-    "light_name",
-    "light_of",
-    "load_avatar",
-    "motion_of",
-    "natural",
-    "not_negative",
-    "open_scene",
-    "point",
-    "positive",
-    "single",
-    "size",
-    "tracked",
-    "whole",
-]
-
-
 _MAX_LIGHT_BYTES = 1 << 20  # of a file of --light
 
 _PEOPLE = f"{', '.join(PEOPLE[:-1])} or {PEOPLE[-1]}"

@@ -24,8 +24,6 @@ from .output import Image, eight_bit
 if TYPE_CHECKING:
     from glsplat.extras.speech.sound import Sound
 
-__all__ = ["CLIPS", "Clip"]
-
 # not H.264, whose encoder x264 has another licence; VP9 is in every OpenCV wheel and plays in the same browsers
 CLIPS = {".mp4": "vp09", ".webm": "VP90"}
 _FALLBACK = "mp4v"  # if OpenCV was built without VP9

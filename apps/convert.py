@@ -27,8 +27,6 @@ from glsplat.splats import Splats
 
 from .args import add_up
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "add_quiet", "run", "save_with_report", "turned"]
-
 HELP = (
     f"Convert between {suffixes(last='and', written=True)} (3DGS PLY, KHR_gaussian_splatting); "
     "the output's suffix selects the format. With --up the output has y up. "

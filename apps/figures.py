@@ -7,8 +7,6 @@ import io
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-__all__ = ["png_of"]
-
 
 def png_of(figure: Figure) -> bytes:
     """Return the figure as PNG bytes, at 90 pixels per inch."""

@@ -27,8 +27,6 @@ from glsplat.views import box_of
 from .args import add_scene, open_scene, single
 from .avatar import consent
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "describe", "describe_scene", "levels_of", "levels_text", "run"]
-
 HELP = "Describe a scene, avatar, mesh or scene file: counts, ranges, the rig, items, and anything unusual."
 EXAMPLE = "glsplat inspect me.glb --json"
 

@@ -6,8 +6,6 @@ import json
 import logging
 from datetime import UTC, datetime
 
-__all__ = ["FORMATS", "start_logging"]
-
 FORMATS = ("text", "json")
 
 

@@ -18,19 +18,6 @@ from glsplat.pictures import straight
 if TYPE_CHECKING:
     from glsplat.renderer import Renderer
 
-__all__ = [
-    "Image",
-    "eight_bit",
-    "frame_report",
-    "joined_views",
-    "label",
-    "save_depth",
-    "save_npy",
-    "save_png",
-    "side_by_side",
-    "stack",
-]
-
 Image = NDArray[np.uint8]
 
 

@@ -7,8 +7,6 @@ import time
 from collections.abc import Collection, Iterable, Iterator
 from typing import TypeVar
 
-__all__ = ["Progress", "each"]
-
 T = TypeVar("T")
 _REDRAW_PERIOD_S = 0.1
 _CLEAR = "\r\x1b[K"

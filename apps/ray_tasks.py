@@ -10,8 +10,6 @@ from typing import Any
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["add_ray", "on_ray"]
-
 # one core per task, as on a single machine: the last bits of sums depend on the number of threads
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 

@@ -10,8 +10,6 @@ from typing import Any, NoReturn
 
 from glsplat.errors import FormatError, GlsplatError
 
-__all__ = ["CommandParser", "UsageError", "make_folder", "output_kind"]
-
 
 class UsageError(GlsplatError):
     """Invalid arguments of a command; the printed line ends with where to find help."""

@@ -39,6 +39,8 @@ __all__ = [
     "shares",
 ]
 
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 Kind = TypeVar("Kind", bound=np.generic)
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera, passes_of, sorting_camera
 from glsplat.config import RenderConfig
 from glsplat.light.light import Light
@@ -45,7 +46,6 @@ __all__ = [
     "skin",
 ]
 
-F64 = NDArray[np.float64]
 
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255

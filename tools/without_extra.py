@@ -21,8 +21,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["requirements", "with_dependents"]
-
 ROOT = Path(__file__).resolve().parents[1]
 
 # arguments: the deleted extras. A module may need a package that is not installed, and one of apps a deleted extra.

@@ -15,8 +15,6 @@ from glsplat.extras.consent.keys import new_key, private_key, public_path
 
 from ..usage import UsageError
 
-__all__ = ["add_arguments", "full_text", "report", "run", "short_text"]
-
 _PURPOSE = "to be shown and driven as an avatar"
 
 

@@ -20,8 +20,6 @@ from ..inspect import levels_of, levels_text
 from ..usage import UsageError
 from .writing import check_name, progress_bar
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""

@@ -18,8 +18,6 @@ from glsplat.skinning.pose import Pose
 
 from ..usage import output_kind
 
-__all__ = ["A_POSE", "FOV_DEG", "add_arguments", "draw_guide", "run"]
-
 Picture = NDArray[np.uint8]
 
 A_POSE: Mapping[str, tuple[float, float, float]] = {

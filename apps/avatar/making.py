@@ -45,20 +45,6 @@ from ..usage import UsageError, make_folder
 from .person import add_rig, diagnostics, is_gltf, read_any_person
 from .writing import add_notes, check_name, progress_bar, write
 
-__all__ = [
-    "add_cones",
-    "add_export",
-    "add_import",
-    "add_make",
-    "add_motions",
-    "cones",
-    "counts_of",
-    "export",
-    "make",
-    "motions",
-    "take",
-]
-
 
 def add_make(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""

@@ -12,8 +12,6 @@ from glsplat.extras.consent.state import kept_key
 from glsplat.io.files import replace_file
 from glsplat.net.guard.state_dir import state_folder
 
-__all__ = ["sign_mine"]
-
 _VALIDITY = timedelta(days=365)
 _SUBJECT, _GIVEN_BY = "the person of the photograph", "whoever made it on this computer"
 _PURPOSE = "to be shown and driven as an avatar; whoever made it said: this is me, or this person agreed"

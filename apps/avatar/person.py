@@ -27,8 +27,6 @@ from glsplat.skinning.smplx import JOINT_NAMES
 from ..args import add_up
 from ..usage import UsageError
 
-__all__ = ["add_rig", "diagnostics", "is_gltf", "read_any_person"]
-
 _SIZE_RANGE_M = 0.3, 3.0  # of people and most objects
 _MIN_SHARE = 0.9  # of the requested splats
 _BARE_DISTANCE = 0.03  # of the height; a part whose vertices are all farther from any splat has no splats

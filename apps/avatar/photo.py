@@ -30,8 +30,6 @@ from ..ray_tasks import add_ray
 from ..usage import UsageError, make_folder
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
-__all__ = ["add_arguments", "options_of", "run"]
-
 _OTHERS = ("back", "left", "right")
 _DEFAULT = Options()
 

@@ -16,8 +16,6 @@ from ..ray_tasks import on_ray
 from ..usage import UsageError, make_folder
 from .mine import sign_mine
 
-__all__ = ["run"]
-
 _PICTURES = (".jpg", ".jpeg", ".png")
 _ONE_PERSON = ("back", "left", "right", "mask", "back_mask", "left_mask", "right_mask", "height")
 

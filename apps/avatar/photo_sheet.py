@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.body.open_body import open_body
@@ -28,10 +29,7 @@ from glsplat.splats import SH_C0
 from ..output import label, stack
 from .guide import A_POSE, FOV_DEG
 
-__all__ = ["draw"]
-
 Image = NDArray[np.uint8]
-F64 = NDArray[np.float64]
 
 _CELL_PX = 480, 720  # width and height
 _OUTLINE, _WRONG = (0, 255, 120), (255, 70, 70)  # RGB

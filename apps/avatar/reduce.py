@@ -18,8 +18,6 @@ from glsplat.formats import load_splats
 from ..args import natural
 from .writing import add_notes, check_name, progress_bar, write
 
-__all__ = ["add_arguments", "run"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""

@@ -31,8 +31,6 @@ from ..output import eight_bit, label, save_png, stack
 from ..usage import UsageError
 from .person import read_any_person
 
-__all__ = ["add_arguments", "report"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""

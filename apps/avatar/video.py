@@ -19,8 +19,6 @@ from ..args import natural, positive, whole
 from .photo import options_of
 from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
 
-__all__ = ["add_arguments", "run"]
-
 _DEFAULT = Options()
 
 

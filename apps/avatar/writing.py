@@ -22,8 +22,6 @@ from glsplat.skinning.smplx import JOINT_NAMES
 from ..progress import Progress
 from ..usage import UsageError
 
-__all__ = ["add_notes", "check_name", "notes_of", "progress_bar", "write", "write_mesh"]
-
 _NOTES = {
     "source": "where the person comes from",
     "licence": "terms of use of the person's data",

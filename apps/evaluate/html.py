@@ -11,8 +11,6 @@ from glsplat.extras.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP,
 from ..page import document, escaped, image_of, table_of
 from .outcome import LOWER, NAMES
 
-__all__ = ["page"]
-
 _BY = {"tracking": "head and hands, through the solver", "pose": "the true pose"}
 _ROLES = {
     "photo": "one photograph to splats (the paper's own role)",

@@ -13,8 +13,6 @@ from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.io.provenance import machine
 
-__all__ = ["LOWER", "NAMES", "outcome", "plots", "table_lines"]
-
 LOWER = ("l1", "lpips", "box_l1", "flip", "lpips-vgg")
 """Measures that are better when they are smaller."""
 

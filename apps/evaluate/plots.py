@@ -12,8 +12,6 @@ from glsplat.extras.evaluate.statistics import Values, summarise
 
 from ..figures import png_of
 
-__all__ = ["groups_plot", "methods_plot"]
-
 _COLUMNS = 4
 _SPREAD = 0.16  # width of the strip of points, of the distance between two methods
 _GROUP = 0.8  # width of the bars of a group, of the distance between two groups

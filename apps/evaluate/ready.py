@@ -11,8 +11,6 @@ from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.optional import require_package
 
-__all__ = ["check_ready"]
-
 _SEEING = ("photo", "mesh-image", "mesh-video")  # methods that find a person in pictures
 
 

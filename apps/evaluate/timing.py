@@ -25,8 +25,6 @@ from glsplat.scene import Rigged, is_rigged
 from ..progress import Progress
 from ..report import latency
 
-__all__ = ["timed"]
-
 _FRAMES = 30, 4  # measured; in a quick run
 
 

@@ -13,8 +13,6 @@ from glsplat.errors import FormatError
 from glsplat.renderer.present import Layout, view_size
 from glsplat.rotations import FLIP_YZ
 
-__all__ = ["Options", "View", "cameras_of"]
-
 _MAX_PITCH_RAD = np.pi / 2
 
 

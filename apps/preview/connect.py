@@ -25,8 +25,6 @@ from .feed import MIN_PERIOD_S, Feed, Picture, ViewRequest
 from .overlay import Line
 from .player import Player, Tracked
 
-__all__ = ["StreamedPictures", "read_tracked"]
-
 _RATE_HZ = 72.0  # of samples sent
 
 

@@ -26,8 +26,6 @@ from glsplat.net.flow import Backoff, ReceivedReply
 from glsplat.net.guard.access import read_token
 from glsplat.skinning.pose import Pose
 
-__all__ = ["MIN_PERIOD_S", "Feed", "Picture", "ViewRequest", "feed_of"]
-
 MIN_PERIOD_S = 1 / 72  # between requests
 _TIMEOUT_S = 5.0  # of a connection or a picture
 _REPLY_TIMEOUT_S = 2 * _TIMEOUT_S  # of wait_ready()

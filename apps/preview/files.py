@@ -30,8 +30,6 @@ from glsplat.tracking.tracker import Tracker
 
 from ..args import motion_of
 
-__all__ = ["Dropped", "motion_names", "read_dropped", "read_motion", "shown"]
-
 _FIRST_MOTION = "wave-and-turn"
 _MAX_JSON_BYTES = 512 << 20
 

@@ -19,7 +19,6 @@ from glsplat.errors import ContextError, GlsplatError
 from glsplat.extras.openxr.local import LocalShow
 from glsplat.extras.openxr.openxr.graphics import EGL_ENABLE
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime, offered
-from glsplat.extras.openxr.runtime import Runtime
 from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.formats.scene_file import SceneFile
@@ -36,8 +35,6 @@ from .headset_feed import FeedShow
 from .player import Others
 from .window import Window
 
-__all__ = ["run"]
-
 _MAX_SAMPLES = 72 * 60 * 30  # of a recording: half an hour
 
 
@@ -45,7 +42,7 @@ def run(
     args: argparse.Namespace,
     scene: SceneFile,
     frames: int | None,
-    connect: Callable[[Context, bool], Runtime] | None = None,  # default: this computer's OpenXR runtime
+    connect: Callable[[Context, bool], OpenXrRuntime] | None = None,  # default: this computer's OpenXR runtime
 ) -> int:
     """Show the scene until the runtime, the window or Ctrl-C ends the session."""
     samples: list[Sample] = []

@@ -16,9 +16,10 @@ import numpy as np
 from glsplat.camera import Camera
 from glsplat.extras.openxr.cameras import camera_of, sighted
 from glsplat.extras.openxr.eyes import Surroundings
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
 from glsplat.extras.openxr.placing import Place
 from glsplat.extras.openxr.room import surroundings
-from glsplat.extras.openxr.runtime import FrameTiming, Projection, Runtime, ViewPose
+from glsplat.extras.openxr.runtime import FrameTiming, Projection, ViewPose
 from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
@@ -27,8 +28,6 @@ from glsplat.renderer.targets import Target
 from glsplat.rotations import FLIP_X
 
 from .feed import Feed, Picture, ViewRequest
-
-__all__ = ["FeedShow"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ class FeedShow:
         """The runtime's images; None before the first picture."""
         return self._eyes
 
-    def attach(self, runtime: Runtime) -> None:
+    def attach(self, runtime: OpenXrRuntime) -> None:
         """Read the runtime's picture size. Images are made when the server's first picture arrives."""
         self._size = fitting(runtime, self._scale, self._context.max_size)
 
@@ -84,7 +83,7 @@ class FeedShow:
         """Recentre the view."""
         self.wearer.recentred()
 
-    def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
+    def frame(self, runtime: OpenXrRuntime, timing: FrameTiming, focused: bool) -> Shown:
         """Request a pair for this frame; submit the newest one received."""
         moment = self.wearer.look(runtime, timing, focused)
         views = sighted(runtime.views(timing.display_time))
@@ -129,7 +128,7 @@ class FeedShow:
             options["alpha"] = "straight"
         return ViewRequest(cameras, tracking=tracking, options=options, about=_Subject(tuple(views), place))
 
-    def _submit(self, runtime: Runtime, picture: Picture, subject: _Subject) -> None:
+    def _submit(self, runtime: OpenXrRuntime, picture: Picture, subject: _Subject) -> None:
         _, height, width, _ = picture.images.shape
         size = (width, height)
         if self._eyes is None or self._eyes.size != size:

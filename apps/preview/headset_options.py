@@ -11,8 +11,6 @@ from glsplat.tracking.solvers import SOLVERS
 from ..args import add_solver
 from ..usage import UsageError
 
-__all__ = ["VIEWS", "add_arguments", "check"]
-
 VIEWS = ("mirror", "facing", "own")  # of glsplat.extras.openxr.placing
 _XR_ONLY = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
 _NOT_XR = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["ACTIONS", "FLIGHT", "HELP_LINES", "TURNS"]
-
 ACTIONS: dict[str, str] = {
     "1": "mono",
     "2": "side_by_side",

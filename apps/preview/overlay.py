@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from .keys import HELP_LINES
 from .player import Player
 
-__all__ = ["Line", "Overlay", "number_lines", "text_image", "title_line"]
-
 Line = tuple[str, ...]
 """Cells of one line. Consecutive lines with equally many cells have aligned columns."""
 

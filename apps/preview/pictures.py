@@ -21,8 +21,6 @@ from ..output import frame_report
 from .overlay import Line
 from .player import Player
 
-__all__ = ["LocalPictures", "PictureSource"]
-
 
 class PictureSource(Protocol):
     """A source of pictures. Calls come from the window's thread; all but ``wait_ready`` return at once."""
@@ -31,45 +29,35 @@ class PictureSource(Protocol):
 
     @property
     def notice(self) -> str:
-        """Current problem to show; \"\" without one."""
-        ...
+        """Current problem to show; "" without one."""
 
     @property
     def fresh(self) -> bool:
         """Whether a new picture is queued."""
-        ...
 
     def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
         """Request a picture; return whether a newer one than before can be drawn."""
-        ...
 
     def wait_ready(self) -> None:
         """Wait for the last requested picture. Raises GlsplatError if it fails."""
-        ...
 
     def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
         """Return the layers to show, one per view; ``exact`` waits for the GPU after each stage."""
-        ...
 
     def load(self, scene: SceneLike) -> None:
         """Replace the scene. A GlsplatError leaves it unchanged."""
-        ...
 
     def facts(self) -> list[Line]:
         """Return the driver and the counts of the picture, as lines."""
-        ...
 
     def stages(self) -> dict[str, float]:
         """Return the stage times of the newest picture in milliseconds."""
-        ...
 
     def report(self) -> dict[str, Any]:
         """Return driver, counts and stage times, for --json."""
-        ...
 
     def release(self) -> None:
         """Delete all GL objects."""
-        ...
 
 
 class LocalPictures:

@@ -16,8 +16,6 @@ from glsplat.scene import Item, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["Others", "Player", "Tracked", "players_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Tracked(Motion):

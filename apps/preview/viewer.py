@@ -31,8 +31,6 @@ from .overlay import Line, Overlay, number_lines, text_image, title_line
 from .pictures import LocalPictures, PictureSource
 from .player import Others, Player, Tracked, players_of
 
-__all__ = ["Options", "Viewer"]
-
 _TURN_DEG = 5.0  # per key press
 _ORBIT_RAD = 3.5  # per height of the window
 _ZOOM = 0.9  # factor of the distance per notch of the wheel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import replace
-from types import TracebackType
 from typing import Any
 
 import moderngl
@@ -13,8 +12,6 @@ from glsplat.errors import ContextError
 from glsplat.gl.context import Context, create_context
 
 from .viewer import Viewer
-
-__all__ = ["NO_DISPLAY", "Window"]
 
 NO_DISPLAY = "no display: glsplat preview needs a window; use `glsplat render` or run under xvfb-run"
 
@@ -161,9 +158,7 @@ class Window:
     def __enter__(self) -> Window:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.context.release()
         self._glfw.destroy_window(self._window)
         self._glfw.terminate()

@@ -23,6 +23,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.motion_files import KINDS, embedded_motions
 from glsplat.motion.motion import Motion
 from glsplat.net.client import Client
+from glsplat.net.flow import POLICIES
 from glsplat.net.guard.access import read_token
 from glsplat.net.reply import Reply
 from glsplat.skinning.pose import EXPRESSION
@@ -39,7 +40,7 @@ from ..usage import UsageError, output_kind
 from .crowd import add_crowd, check_crowd, crowd_text, names_of, stream_crowd
 from .link import Link, link, over
 from .stage_table import comparison_markdown, frame_text, table_text
-from .streaming import POLICIES, Drive, Driven, Result, stream
+from .streaming import Drive, Driven, Result, stream
 
 HELP = "Stream recorded head and hands, or a motion, through a server; report latency by stage and save pictures."
 EXAMPLE = "glsplat replay --url ws://127.0.0.1:8000/ws --save sheet.png"

@@ -18,8 +18,6 @@ from ..progress import Progress
 from ..usage import UsageError
 from .streaming import Drive, Driven, Result, stream
 
-__all__ = ["MOST_PEOPLE", "add_crowd", "check_crowd", "crowd_text", "names_of", "stream_crowd"]
-
 MOST_PEOPLE = 64
 _OFFSET_S = 1.7  # of the recording between two people
 

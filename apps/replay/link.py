@@ -21,8 +21,6 @@ from glsplat.errors import GlsplatError
 
 from ..usage import UsageError
 
-__all__ = ["Link", "link", "over"]
-
 _PACKET_BYTES = 1448
 _CHUNK_BYTES = 4096  # per read: 0.7 ms at 50 Mbit/s
 _QUEUE_BYTES = 128 * 1024  # queued before the sender is blocked

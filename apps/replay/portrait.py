@@ -17,8 +17,6 @@ from glsplat.rotations import FLIP_YZ
 from ..output import Image, stack
 from .streaming import Drive, Driven, observer, stream
 
-__all__ = ["portrait_sheet"]
-
 _FPS = 30.0
 _FOV_DEG = 30.0
 _IPD_M = 0.063

@@ -12,8 +12,6 @@ from glsplat.net.pace.stages import median_p95
 
 from .streaming import STAGES, Result
 
-__all__ = ["comparison_markdown", "frame_text", "summary_text", "table_text"]
-
 _DEFERRED_NOTE = "This driver defers work: most of the drawing is in the stage that waits for it (resolve)."
 
 

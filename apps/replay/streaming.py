@@ -20,14 +20,12 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera, look_at, stereo_cameras
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
-from glsplat.net.flow import POLICIES, ReceivedReply
+from glsplat.net.flow import ReceivedReply
 from glsplat.net.pace.stages import median_p95
 from glsplat.net.reply import Reply
 from glsplat.net.wire_schema import PictureParams
 from glsplat.rotations import FLIP_YZ
 from glsplat.skinning.pose import Pose
-
-__all__ = ["POLICIES", "STAGES", "Drive", "Driven", "Result", "observer", "stream"]
 
 _DRAIN_TIMEOUT_S = 3.0  # for the last pictures
 
@@ -57,7 +55,6 @@ class Drive(Protocol):
 
     def at(self, seconds: float) -> Driven:
         """Return the pose or tracking sample at a time >= 0."""
-        ...
 
 
 @dataclass

@@ -8,8 +8,6 @@ from typing import Any
 from ..page import document, escaped, table_of
 from ..report import latency
 
-__all__ = ["page"]
-
 Rows = Sequence[Mapping[str, Any]]
 
 

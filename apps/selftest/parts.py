@@ -28,8 +28,6 @@ from glsplat.gl.context import Context, create_context
 
 from ..report import latency
 
-__all__ = ["PARTS", "run_part"]
-
 _SILENCE_S = 400.0  # without a word from a part before it is ended
 _END_S = 10.0  # for a part to end after its last step
 _RESTARTS = 3  # of a part that ends before its last step

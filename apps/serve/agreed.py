@@ -25,8 +25,6 @@ from .options import ServeOptions, naming_option
 if TYPE_CHECKING:
     from glsplat.extras.uploads.job import UploadConfig
 
-__all__ = ["policy_of", "signing"]
-
 _LASTS = timedelta(days=365)  # the consent to an avatar that a client has made
 _SUBJECT, _SENDER = "the person of the photograph", "whoever sent the photograph"
 _PURPOSE = "to be shown and driven as an avatar by this server; the sender said: this is me, or this person agreed"

@@ -28,7 +28,8 @@ from ..args import detail_of, load_avatar, open_scene
 from ..logs import start_logging
 from ..usage import UsageError
 from .keys import Keys, keys_of, watermark_of
-from .options import ServeOptions, add_options, check_given, naming_option, parsed
+from .options import ServeOptions, add_options, check_given, naming_option
+from .options import parsed as parsed  # apps/cli.py parses with it
 from .ready import Endpoint, announce, open_page
 from .rooms import check_rooms, lit_rooms, open_rooms, voice_of
 
@@ -46,18 +47,6 @@ HELP = (
 )
 EXAMPLE = "glsplat serve me.glb --port 8000"
 SEE = "--write-config"
-__all__ = [
-    "EXAMPLE",
-    "HELP",
-    "SEE",
-    "add_arguments",
-    "check",
-    "other_avatars",
-    "parsed",
-    "run",
-    "scene_name",
-    "server_config",
-]
 
 add_arguments = add_options
 

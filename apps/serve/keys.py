@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from glsplat.net.rights import Accounts
     from glsplat.net.session import WatermarkKey
 
-__all__ = ["Keys", "keys_of", "watermark_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class Keys:

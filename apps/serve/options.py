@@ -28,18 +28,6 @@ from ..args import Number, as_toml, detail_level, light_name, size, whole
 from ..logs import FORMATS
 from ..usage import CommandParser, UsageError
 
-__all__ = [
-    "RoomChoice",
-    "ServeOptions",
-    "add_options",
-    "check_given",
-    "naming_option",
-    "option_file",
-    "parsed",
-    "read_options",
-    "room_choice",
-]
-
 _MAX_SEATS = 64
 
 

@@ -14,8 +14,6 @@ from glsplat.net.guard.access import is_loopback
 from ..usage import UsageError
 from .options import ServeOptions
 
-__all__ = ["make_avatar", "upload_config"]
-
 _CONSENT = "whoever sent the photograph said: this is me, or this person agreed"
 
 

@@ -15,8 +15,6 @@ from glsplat.optional import has_package, missing, missing_package, plugin
 
 from .keys import Keys
 
-__all__ = ["Endpoint", "announce", "open_page"]
-
 log: logging.Logger = logging.getLogger("glsplat.serve")
 
 

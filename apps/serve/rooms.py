@@ -15,8 +15,6 @@ from .options import ServeOptions, naming_option
 if TYPE_CHECKING:
     from glsplat.extras.voice import Voice
 
-__all__ = ["check_rooms", "lit_rooms", "open_rooms", "voice_of"]
-
 
 def check_rooms(args: ServeOptions) -> None:
     """Raise UsageError for two rooms of one name, and for more seats than clients may connect."""

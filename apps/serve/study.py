@@ -15,8 +15,6 @@ from ..usage import UsageError
 from .options import ServeOptions
 from .ready import Endpoint
 
-__all__ = ["ServedStudy", "study_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class ServedStudy:

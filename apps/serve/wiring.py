@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from glsplat.extras.uploads.job import UploadConfig
     from glsplat.extras.workers.options import Workers
 
-__all__ = ["assemble"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 

@@ -8,8 +8,6 @@ from glsplat.extras.workers.options import Workers
 from ..usage import UsageError
 from .options import ServeOptions
 
-__all__ = ["workers_of"]
-
 _MAX_WORKERS = 64
 
 

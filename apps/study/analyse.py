@@ -25,8 +25,6 @@ from .files import column_names, factors_of
 from .r_script import r_script
 from .results_text import results_text
 
-__all__ = ["EXAMPLE", "add_arguments", "run"]
-
 EXAMPLE = "glsplat study analyse export/scores.csv -o results/"
 
 

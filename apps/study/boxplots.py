@@ -13,8 +13,6 @@ from glsplat.extras.study.analysis.analysis import Analysis
 
 from ..figures import png_of
 
-__all__ = ["boxplots"]
-
 _COLUMNS = 3
 MAX_LABEL = 24  # characters of a level
 _SPREAD = 0.22  # half width of the strip of points, relative to the distance of boxes

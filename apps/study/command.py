@@ -166,10 +166,11 @@ def plan(args: argparse.Namespace) -> int:
 def run_study(args: argparse.Namespace) -> int:
     """Run ``glsplat serve`` for one participant, with the flags of serve behind the number."""
     from ..serve import command as serve
+    from ..serve.options import parsed
 
     parser = CommandParser(prog="glsplat serve", description=serve.HELP)
     serve.add_arguments(parser)
-    options = serve.parsed(parser, args.options)
+    options = parsed(parser, args.options)
     study = {"study": args.study, "participant": args.participant, "study_data": data_of(args.study, args.data)}
     return serve.run(replace(options, **study))
 

@@ -14,8 +14,6 @@ from ..usage import UsageError
 if TYPE_CHECKING:
     from glsplat.extras.study.analysis.codebook import Codebook
 
-__all__ = ["DEFAULT", "avatar_files", "column_names", "data_of", "factors_of"]
-
 DEFAULT = "default"
 """The avatar that comes with glsplat."""
 

@@ -18,8 +18,6 @@ from ..progress import Progress
 from ..usage import UsageError
 from .files import factors_of
 
-__all__ = ["EXAMPLE", "add_arguments", "run"]
-
 EXAMPLE = (
     "glsplat study power --within type=self,other --within method=ours,video,image --participants 24 --effect type=0.4"
 )

@@ -8,8 +8,6 @@ from itertools import combinations
 
 from glsplat.extras.study.analysis.analysis import Analysis
 
-__all__ = ["r_script"]
-
 
 def r_script(
     table: str, analyses: Sequence[Analysis], *, participant: str, response: str, long: bool, items: Sequence[str] = ()

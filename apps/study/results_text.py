@@ -11,8 +11,6 @@ from glsplat.extras.study.analysis.effect_sizes import EffectSize
 from glsplat.extras.study.analysis.plain import Omnibus
 from glsplat.extras.study.analysis.reliability import Reliability
 
-__all__ = ["results_text"]
-
 
 def results_text(analyses: Sequence[Analysis], scales: Mapping[str, Reliability] | None = None) -> str:
     """Return Markdown with a chapter per response; ``scales`` is the reliability by response."""

@@ -17,14 +17,12 @@ from glsplat.extras.evaluate.tracking_rows import SOLVERS, Row, rows_of
 from glsplat.extras.evaluate.tracking_score import WINDOW, mean_score
 from glsplat.extras.learned.network import load_network
 from glsplat.formats.motion_files import embedded_motions
-from glsplat.tracking.tracker import TrackerConfig
+from glsplat.tracking.config import TrackerConfig
 
 from ..args import motion_of
 from ..progress import each
 from ..usage import UsageError
 from .options import add_skeleton, pattern_of, skeleton_of
-
-__all__ = ["add_bench"]
 
 FAULT = 2.0  # cm by which ten seconds are worse than the naive baseline has them, to be looked at
 

@@ -9,14 +9,13 @@ from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.recording import embedded_recording, replay
 from glsplat.tracking.sample import Sample
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.tracking.tracker import Tracker
 
 from ..args import add_solver, load_avatar, tracked
 from ..usage import UsageError
-
-__all__ = ["add_recording", "add_skeleton", "samples_of", "skeleton_of", "tracker_of"]
 
 
 def add_skeleton(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.recording import json_lines
 
-__all__ = ["PoseTrack", "read_poses"]
-
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:

@@ -30,8 +30,6 @@ from ..usage import UsageError, output_kind
 from .options import add_recording, samples_of, skeleton_of, tracker_of
 from .pose_track import read_poses
 
-__all__ = ["add_show"]
-
 Image = NDArray[np.uint8]
 
 Colour = tuple[int, int, int]

@@ -22,8 +22,6 @@ from ..progress import Progress, each
 from ..usage import UsageError
 from .options import add_skeleton, pattern_of, skeleton_of
 
-__all__ = ["add_arguments"]
-
 DEFAULT = TrainingConfig()
 KINDS = (".bvh", ".amc", ".json", ".npz", ".glb", ".gltf", ".vrma")
 

@@ -27,8 +27,6 @@ from glsplat.net.pages.site import page_files
 
 from ..args import load_avatar
 
-__all__ = ["EXAMPLE", "HELP", "add_arguments", "baked", "run"]
-
 HELP = (
     "Write a page that shows an avatar in any browser with WebGL 2 and in VR, with motions. Any file server will do "
     "(python -m http.server). Visitors can download the avatar's splats, so its consent record needs hand_out; the "

@@ -11,8 +11,6 @@ import numpy as np
 from glsplat.camera import Camera
 from glsplat.errors import FormatError
 
-__all__ = ["camera_from_json", "load_cameras", "read_cameras"]
-
 
 def load_cameras(path: str | Path) -> list[Camera]:
     """Return the cameras of a camera file; see read_cameras()."""

@@ -19,8 +19,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.scene import Content, Scene
 from glsplat.splats import Splats
 
-__all__ = ["A_MOTION", "Format", "Opened", "clamped_opacities", "opened", "positive_scales"]
-
 A_MOTION = "a motion, which shows nothing; give it to render, preview or replay as --motion"
 """Message where something to show is expected."""
 

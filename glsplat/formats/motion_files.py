@@ -17,8 +17,6 @@ from glsplat.optional import missing, plugin
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["KINDS", "embedded_motions", "load_embedded_motion", "load_motion", "split_choice"]
-
 KINDS = "JSON poses, BVH, .amc with its .asf, AMASS .npz, a glTF or VRM animation (.glb, .gltf, .vrm, .vrma)"
 """What ``load_motion`` reads, for texts. All but JSON poses are read by glsplat.extras.motions."""
 

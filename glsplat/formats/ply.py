@@ -25,21 +25,6 @@ from glsplat.io.files import Source, replace_file
 from glsplat.optional import missing, plugin
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = [
-    "ANTIALIAS",
-    "PACKED",
-    "PLY",
-    "Element",
-    "PlyHeader",
-    "add_formats",
-    "is_ply",
-    "listed",
-    "read_header",
-    "read_ply",
-    "save_ply",
-    "sh_degree",
-]
-
 ANTIALIAS = "comment SplatRenderMode: mip"
 """Line of the header for Splats.antialias, as Brush and splat-transform write it."""
 

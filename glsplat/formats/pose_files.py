@@ -19,8 +19,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["POSES", "add_formats", "are_poses", "read_folder"]
-
 _DEFAULT_FPS = 30.0
 _SNIFFED = 1 << 16  # bytes
 

@@ -20,19 +20,6 @@ from glsplat.optional import missing, plugin
 from glsplat.scene import Content, Scene
 from glsplat.splats import Splats
 
-__all__ = [
-    "all_formats",
-    "load",
-    "load_content",
-    "load_splats",
-    "losses",
-    "recognise",
-    "recognised",
-    "save",
-    "sniffed",
-    "suffixes",
-]
-
 log: logging.Logger = logging.getLogger("glsplat.formats")
 
 # modules whose add_formats() puts rows into the registry; of extras, NAME is glsplat.extras.NAME.rows

@@ -30,8 +30,6 @@ from glsplat.splats import Splats
 if TYPE_CHECKING:
     from glsplat.motion.motion import Motion
 
-__all__ = ["MAX_ITEMS", "UPS", "SceneFile", "add_formats", "load_scene", "upright"]
-
 VERSION = 1
 MAX_ITEMS = 1000
 """Items of a scene file, with those of the scene files that it names."""

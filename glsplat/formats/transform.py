@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.rotations import matrix_quaternions, quaternion_matrices, quaternion_product, sh_rotations
 from glsplat.splats import Splats, normalised
-
-__all__ = ["transformed"]
-
-F64 = NDArray[np.float64]
 
 
 def transformed(splats: Splats, matrix: F64) -> Splats:

@@ -25,8 +25,6 @@ from glsplat.gl.software import is_software
 from glsplat.gl.state import GLState
 from glsplat.shaders import Variant, flatten, link
 
-__all__ = ["Context", "create_context", "egl_devices"]
-
 REQUIRED = 330
 INSTALL = (
     "install Mesa's software driver (Debian/Ubuntu: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri)"

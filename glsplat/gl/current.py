@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 
 from glsplat.errors import ContextError
 
-__all__ = ["Binding", "bind", "binding", "give_back", "is_current", "look", "unbind"]
-
 Handle = int | None
 
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import moderngl
 
-__all__ = ["gl_functions"]
-
 
 def gl_functions(ctx: moderngl.Context) -> Callable[..., Any]:
     """Return a loader ``function(name, result, *arguments)`` of the C function "gl" + name; None where there is none.

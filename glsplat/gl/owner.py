@@ -12,15 +12,13 @@ import threading
 import warnings
 import weakref
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Protocol
 
 import moderngl
 
 from glsplat.errors import ContextError
 from glsplat.gl import current
-
-__all__ = ["ContextGuard", "Owner", "State", "check_process", "destroy_when_dropped", "owner_of", "release_later"]
 
 _forks = 0  # between the first process and this one
 _made_after: int | None = None  # forks when the newest context was made
@@ -150,9 +148,7 @@ class ContextGuard:
             self._leave()
             raise
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._leave()
 
     def _leave(self) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["is_software"]
-
 _NAMES = ("llvmpipe", "softpipe", "lavapipe", "swrast", "swiftshader")
 
 

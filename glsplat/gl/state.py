@@ -14,8 +14,6 @@ import moderngl
 from glsplat.gl.functions import gl_functions
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["GLState"]
-
 # name -> (enum, values, least GL version). One glGet each.
 _INTEGERS: dict[str, tuple[int, int, int]] = {
     "program": (0x8B8D, 1, 330),
@@ -98,7 +96,7 @@ _SPLAT_UNITS = (0, 1, 2)
 _MESH_UNITS = tuple(sorted(set(UNITS.values()) - set(_SPLAT_UNITS)))  # of the passes of meshes alone
 _STORAGE_SLOTS = range(5)  # of the GPU sorter; the draw reads records from the first
 _UNIFORM, _STORAGE = (0x8A11, 0x8A28), (0x90D2, 0x90D3)  # target, binding
-_FILL, _ADD, _LEQUAL, _LAST_VERTEX, _FIXED_ONLY = 0x1B02, 0x8006, 0x0203, 0x8E4E, 0x891D
+_FILL, _ADD, _LEQUAL, _LAST_VERTEX = 0x1B02, 0x8006, 0x0203, 0x8E4E
 _VALUES = (("depth_func", "DepthFunc", _LEQUAL), ("provoking_vertex", "ProvokingVertex", _LAST_VERTEX))
 _LOWER_LEFT, _NEGATIVE_ONE = 0x8CA1, 0x935E
 

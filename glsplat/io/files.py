@@ -19,19 +19,6 @@ from typing import Any, BinaryIO
 
 from glsplat.errors import FormatError
 
-__all__ = [
-    "Source",
-    "folder_of",
-    "left_out",
-    "locked",
-    "naming",
-    "open_regular",
-    "replace_file",
-    "sampled",
-    "suffix_of",
-    "suffixes_of",
-]
-
 Source = str | bytes | os.PathLike[Any] | BinaryIO
 """A file to read or write. An open one is read from its position to its end, and stays open."""
 

@@ -10,8 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["commit", "machine"]
-
 
 def machine() -> dict[str, Any]:
     """Facts for reports: machine, cores, date (UTC), versions, commit if run from a checkout."""

@@ -8,8 +8,6 @@ import shlex
 import stat
 from pathlib import Path
 
-__all__ = ["exposure", "warn_if_exposed"]
-
 log: logging.Logger = logging.getLogger("glsplat.files")
 
 

@@ -9,13 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import Value, frozen, plain
+from glsplat.arrays import F64, Value, frozen, plain
 from glsplat.errors import FormatError
 from glsplat.rotations import SH_FACTORS, sh_basis, sh_rotations
-
-__all__ = ["PRESETS", "Light", "sh_irradiance"]
-
-F64 = NDArray[np.float64]
 
 _MAX_VALUE = 1e4  # of a coefficient or a colour; more is a mistake of units
 _UNIT_TOLERANCE = 1e-3  # of a direction's length: written with three digits

@@ -9,13 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import Value, frozen, own_whole
+from glsplat.arrays import F64, Value, frozen, own_whole
 from glsplat.errors import FormatError
 from glsplat.rotations import unit_vectors
-
-__all__ = ["SHADE_ONE", "SHADE_STEPS", "Surface", "decoded_shades", "encoded_shades"]
-
-F64 = NDArray[np.float64]
 
 SHADE_ONE, SHADE_STEPS = 192, 32
 """A shade's byte b stands for 2^((b - 192) / 32), 1/64 to 3.9: half a level of 255 in a colour."""

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.rotations import quaternion_of, quaternion_product, quaternion_vectors, vector_quaternions
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
-
-__all__ = ["body_of", "fitted", "grounded", "leg_length", "turned"]
-
-F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")

@@ -6,17 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.rotations import slerp
 from glsplat.skinning.expression import mixed
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["Motion"]
-
-F64 = NDArray[np.float64]
 
 _MAX_ANGLE_RAD = 4 * np.pi  # a larger angle is in degrees
 

@@ -25,22 +25,6 @@ if TYPE_CHECKING:
     from glsplat.net.room_view import RoomView
     from glsplat.renderer.resolve import ResolveStep
 
-__all__ = [
-    "POLL_S",
-    "AvatarInfo",
-    "Backend",
-    "Interruptible",
-    "MemoryTarget",
-    "Overlapping",
-    "PoseSolver",
-    "RenderJob",
-    "Rendered",
-    "Solved",
-    "Submitted",
-    "WebFile",
-    "begin",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RenderJob:

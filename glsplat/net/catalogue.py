@@ -8,8 +8,6 @@ from typing import Any
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
 
-__all__ = ["Catalogue"]
-
 
 class Catalogue:
     """The offered avatars by name. The first is the default, and is never removed.

@@ -27,21 +27,6 @@ from glsplat.net.worker.encoding import ClientVideo
 if TYPE_CHECKING:
     from glsplat.net.room_view import RoomView
 
-__all__ = [
-    "ANYTHING",
-    "Answer",
-    "ClientStream",
-    "DatagramTransport",
-    "Drawn",
-    "FrameObserver",
-    "Outgoing",
-    "PoseAnswer",
-    "Redraw",
-    "Refused",
-    "RoomMember",
-    "Taken",
-]
-
 ANYTHING = AvatarInfo(name="")
 
 _MAX_UNREAD = 256  # answers and texts that wait to be sent

@@ -23,8 +23,6 @@ from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_MESSAGE_BYTES, Request
 from glsplat.net.session import Close, Warn
 
-__all__ = ["Conversation", "cut_off", "make_socket"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _MAX_IN_A_ROW = 8  # messages of one client before others are read

@@ -10,8 +10,6 @@ from glsplat.net.client_stream import Answer, ClientStream, Outgoing
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.worker.encoding import PictureEncoder
 
-__all__ = ["Drawer"]
-
 
 class Drawer(Protocol):
     """Draws for its clients, in fair turns, and packs their replies."""

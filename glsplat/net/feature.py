@@ -21,8 +21,6 @@ from glsplat.net.options import RequestedOptions, ServerConfig
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Feature", "Handler", "PoseResponder", "ServerView"]
-
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 

@@ -15,8 +15,6 @@ from glsplat.errors import ProtocolError
 from glsplat.net.messages import MAX_ARRIVAL_MS, VERSION
 from glsplat.net.reply import Reply
 
-__all__ = ["POLICIES", "Answer", "Backoff", "FlowControl", "ReceivedReply", "server_error"]
-
 POLICIES = ("mailbox", "stop-and-wait", "fifo")
 """When to send a request: at every refresh; once the last picture is decoded; while the window has room."""
 

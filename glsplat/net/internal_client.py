@@ -16,8 +16,6 @@ from glsplat.net.messages import Decoder, Request, WireOptions
 from glsplat.net.pace.fitting import Fitted, fit
 from glsplat.net.session import Session, SessionConfig
 
-__all__ = ["InternalClient", "pair"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _TIMEOUT_S = 20.0  # of a picture

@@ -46,20 +46,6 @@ from glsplat.tracking.sample import Sample
 if TYPE_CHECKING:
     from glsplat.light.light import Light
 
-__all__ = [
-    "MAX_ID",
-    "MAX_MESSAGE_BYTES",
-    "PARTS",
-    "VERSION",
-    "Ack",
-    "Arrival",
-    "Decoder",
-    "Request",
-    "WireOptions",
-    "error_text",
-    "eye_fields",
-]
-
 VERSION = 1
 MAX_MESSAGE_BYTES = 64 * 1024
 """Largest text message; a request with tracking of all fingers has 2 to 4 kB."""

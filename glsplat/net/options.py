@@ -19,17 +19,6 @@ from glsplat.net.session import SessionConfig
 if TYPE_CHECKING:
     from glsplat.net.rights import Consent, User
 
-__all__ = [
-    "DEFAULT_SEATS",
-    "MAX_WINDOW",
-    "NAME",
-    "NOT_ALLOWED",
-    "RequestedOptions",
-    "RoomError",
-    "ServerConfig",
-    "client_options",
-]
-
 DEFAULT_SEATS = 8
 """Seats of a room that configures none."""
 

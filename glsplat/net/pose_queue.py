@@ -19,8 +19,6 @@ from glsplat.net.backend import PoseSolver, Solved
 from glsplat.net.guard.limits import Bucket, CpuShare
 from glsplat.net.messages import Request
 
-__all__ = ["PoseQueue", "SolutionFuture"]
-
 _MAX_QUEUED = 32  # samples; the oldest are dropped
 _MAX_QUEUED_POSES = 2  # samples of requests for poses
 _INITIAL_COST_S = 1e-3  # expected time of a client's first sample

@@ -32,8 +32,6 @@ from glsplat.net.reply import pack_reply, pack_single
 from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.worker import Worker
 
-__all__ = ["LoopOwner", "RenderLoop"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _ROOM_FPS = 6.0  # pictures a second for each member of a room, by less detail, where pictures may be fitted to links

@@ -25,8 +25,6 @@ from glsplat.net.messages import VERSION
 if TYPE_CHECKING:
     from glsplat.net.codec.depth import DepthGrid
 
-__all__ = ["Reply", "decode_picture", "pack_poses", "pack_reply", "pack_single", "parse_reply"]
-
 _HEAD = struct.Struct("<2sHIB")
 _EYE = struct.Struct("<BI")
 _LENGTH = struct.Struct("<I")

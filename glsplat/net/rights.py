@@ -9,8 +9,6 @@ from typing import Any, Literal, Protocol
 
 from aiohttp import web
 
-__all__ = ["USER", "Accounts", "Consent", "Rights", "Thing", "User", "user_of"]
-
 USER: web.RequestKey[Any] = web.RequestKey("user", object)
 """Key of a request's account."""
 

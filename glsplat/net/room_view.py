@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from glsplat.skinning.pose import Pose
 
-__all__ = ["RoomView", "VisiblePerson", "driven_by"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisiblePerson:

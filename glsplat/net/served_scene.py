@@ -36,16 +36,6 @@ if TYPE_CHECKING:
     from glsplat.net.backends.tracking import FaceFeed, TrackingSolver
     from glsplat.tracking.calibration import Calibration
 
-__all__ = [
-    "ServedScene",
-    "TrackingOptions",
-    "checked_avatar",
-    "gl_server",
-    "log_limits",
-    "server_of",
-    "standard_features",
-]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter
 

@@ -41,8 +41,6 @@ from glsplat.net.session import GOING_AWAY, Counts, Session
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Server"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 F = TypeVar("F", bound=Feature)
 

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
-from glsplat.net.messages import MAX_ID, Ack, Arrival, Decoder, Request, error_text
+from glsplat.net.messages import MAX_ID, Ack, Decoder, Request, error_text
+from glsplat.net.wire_schema import Arrival
 from glsplat.optional import missing, plugin
 
 if TYPE_CHECKING:
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
         def new_mark(self) -> Watermark:
             """Return the mark of a new session."""
 
-
-__all__ = ["Close", "Counts", "LinkControl", "Session", "SessionConfig", "Warn"]
 
 log: logging.Logger = logging.getLogger(__name__)  # serve sets its level: these lines trace recorded pictures
 

@@ -28,34 +28,6 @@ from glsplat.tracking.sample import (
 if TYPE_CHECKING:
     from glsplat.light.light import Light
 
-__all__ = [
-    "DEFAULT_FAR_M",
-    "DEFAULT_NEAR_M",
-    "DEFAULT_OPTIONS",
-    "DEFAULT_SH_DEGREE",
-    "MAX_FACES",
-    "REQUEST_ONLY",
-    "Alpha",
-    "Arrival",
-    "Eye",
-    "LegacyCamera",
-    "LegacyMessage",
-    "LightFields",
-    "Message",
-    "PictureOptions",
-    "PictureParams",
-    "PoseFields",
-    "Position",
-    "Tracking",
-    "Video",
-    "Want",
-    "checked_faces",
-    "checked_light",
-    "checked_video",
-    "present_fields",
-    "sample_of",
-]
-
 DEFAULT_NEAR_M, DEFAULT_FAR_M, DEFAULT_SH_DEGREE = 0.01, 1e10, 3  # of an eye without these fields, as of Camera
 
 Numbers = list[float | list[float]]  # flat or nested once

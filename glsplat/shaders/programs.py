@@ -16,8 +16,6 @@ from glsplat.shaders.slots import FRAME_BLOCK, UNITS
 from glsplat.shaders.source import STORAGE_VERSION, Source, flatten
 from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, Variant
 
-__all__ = ["Programs", "link", "set_uniforms"]
-
 
 class Programs:
     """Compiled programs of one context, one for each distinct text, which it owns."""

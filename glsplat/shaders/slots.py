@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["FRAME_BLOCK", "UNITS"]
-
 FRAME_BLOCK = 0
 """Slot of the uniform block Frame (frame.glsl)."""
 

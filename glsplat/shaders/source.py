@@ -14,8 +14,6 @@ from importlib import resources
 
 from glsplat.errors import ShaderError
 
-__all__ = ["STORAGE_VERSION", "Source", "flatten"]
-
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 _CONDITION = re.compile(r"^\s*#(?:if|elif)\b(.*)$")
 _NAME = re.compile(r"\b[A-Za-z_]\w*\b")

@@ -8,19 +8,6 @@ from dataclasses import dataclass, fields
 from glsplat.config import MAX_SIGMA, RenderConfig
 from glsplat.errors import ShaderError
 
-__all__ = [
-    "COLOUR_TEXELS",
-    "MAX_VIEWS",
-    "ROW_BITS",
-    "TARGETS",
-    "MeshVariant",
-    "ResolveVariant",
-    "SkinVariant",
-    "Variant",
-    "record_layout",
-    "variant_for",
-]
-
 MAX_VIEWS = 2
 """Views of one pass: one, or a stereo pair. Longer lists of cameras take several passes."""
 

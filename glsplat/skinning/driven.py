@@ -10,8 +10,6 @@ from glsplat.optional import plugin
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["why_not_driven", "why_not_tracked"]
-
 _TOLERANCE = 1e-4  # of rest frames
 _FEET = [JOINT_NAMES.index(f"{side}_foot") for side in ("left", "right")]
 _EYES = [JOINT_NAMES.index(f"{side}_eye_smplhf") for side in ("left", "right")]

@@ -12,8 +12,6 @@ import numpy as np
 
 from glsplat.errors import PoseError
 
-__all__ = ["ARKIT", "MOST_NAMES", "arkit_name", "checked_expression", "mixed"]
-
 
 def _sides(*names: str) -> tuple[str, ...]:
     return tuple(name + side for name in names for side in ("Left", "Right"))

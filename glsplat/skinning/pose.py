@@ -19,8 +19,6 @@ from glsplat.skinning.expression import checked_expression
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS, SMPLX_NAMES
 
-__all__ = ["EXPRESSION", "Pose", "load_pose"]
-
 EXPRESSION = "expression"
 """Key of a pose object, of a tracking sample and of a request: weights by name, or 52 in ARKit's order."""
 

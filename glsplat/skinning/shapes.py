@@ -8,13 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import Value, frozen, own, own_whole, plain
+from glsplat.arrays import F64, Value, frozen, own, own_whole, plain
 from glsplat.errors import FormatError
 from glsplat.skinning.expression import MOST_NAMES
-
-__all__ = ["BEND", "LIMITS", "Shapes", "long_axes"]
-
-F64 = NDArray[np.float64]
 
 BEND = 3.0 / 127
 """A unit of ``Shapes.bends``: of an axis of length one."""

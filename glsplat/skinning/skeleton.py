@@ -13,8 +13,6 @@ from glsplat.arrays import Value, frozen, instance, own, own_whole, plain
 from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 
-__all__ = ["Skeleton"]
-
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Skeleton(Value):

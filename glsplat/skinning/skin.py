@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from glsplat.arrays import Value, count, frozen, number, own, own_whole, plain, rows
 from glsplat.errors import FormatError
 
-__all__ = ["INFLUENCES", "Skin", "strongest_joint"]
-
 IntT = TypeVar("IntT", bound=np.integer[Any])
 
 INFLUENCES = (1, 2, 4, 8)

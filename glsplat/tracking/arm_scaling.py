@@ -11,8 +11,6 @@ from glsplat.tracking.solve.body import COLLARS, ELBOWS, SHOULDERS, SPINE1, SPIN
 from glsplat.tracking.solve.quat import Vec, add, clamp, distance, dot, length, mul, rotate, scale, sub
 from glsplat.tracking.solve.solution import Solution, Targets
 
-__all__ = ["ArmScaling"]
-
 MIN_MISS_M = 1e-5  # a wrist nearer to its hand needs no scaling
 MAX_RATE = 8.0  # of an arm's length a second: faster than hands move beyond an arm's reach
 LOST_SMOOTHING_S = 0.08  # in which the arm of a lost hand becomes short again

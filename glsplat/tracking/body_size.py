@@ -12,8 +12,6 @@ from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body, levelled
 from glsplat.tracking.solve.quat import Quat, Vec, clamp, length, mul, rotate, sub, swing_twist_y, yaw_quat
 
-__all__ = ["BodySizeFinder", "with_arms"]
-
 BIN_M, BINS = 0.01, 240  # of the histograms of heights and reaches: up to 2.4 m
 BAND_M = 0.05  # a standing or walking user's eyes stay within that height
 BAND_SHARE, MIN_S, ENOUGH_S = 0.1, 0.7, 4.0  # of the upright time in a band, that make it a standing height

@@ -16,8 +16,6 @@ from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, SPINE
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, cross, length, pull, rotate, sub, unit
 from glsplat.tracking.solve.solution import Solution, Targets
 
-__all__ = ["BodyTrackers"]
-
 MAX_DISTANCE = (0.7, 1.3, 1.3)  # of the eye height: limit of the distance from the eyes to waist and feet
 LEARNED_AFTER_S = 0.3  # of weighted moments, after which a mount is known
 WALKING_WEIGHT = 0.25  # of a moment in which the solver guesses where a foot is

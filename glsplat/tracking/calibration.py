@@ -23,8 +23,6 @@ from glsplat.tracking.solve.body import HEAD_FRAME, Body
 from glsplat.tracking.solve.heading import head_pitch
 from glsplat.tracking.solve.quat import Vec, clamp, conj, length, mul, normalized, relative, sub, swing_twist_y
 
-__all__ = ["Calibration", "SessionCalibration", "calibrate", "found_size"]
-
 MIN_SCALE, MAX_SCALE = 0.5, 2.0  # of the avatar
 MAX_HEAD_MOVE_M = 0.05  # while it is measured
 MIN_SAMPLES = 10  # with a head

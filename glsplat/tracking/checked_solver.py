@@ -14,8 +14,6 @@ from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec
 from glsplat.tracking.solve.solution import Solution, Solver, Targets
 
-__all__ = ["CheckedSolver", "checked", "repeated", "zero_pose"]
-
 JOINT_COUNT = 22  # of the body, the root first
 UNIT_TOLERANCE = 1e-6  # of |q|^2: rounding
 MAX_STEP_S = 0.1  # of a solver; longer gaps are solved in several steps

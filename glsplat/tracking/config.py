@@ -7,8 +7,6 @@ from math import exp, pi
 
 from glsplat.errors import PoseError
 
-__all__ = ["OneEuro", "TrackerConfig"]
-
 
 @dataclass(frozen=True, slots=True)
 class OneEuro:

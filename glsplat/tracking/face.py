@@ -11,8 +11,6 @@ from glsplat.tracking.judge import flag_invalid
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.quat import Vec, between, rotation_vector
 
-__all__ = ["eye_turn", "finite_expression"]
-
 MAX_EYE_TURN_RAD = 0.75  # 43 degrees: as far as an eye turns in its socket
 _REST: Vec = (0.0, 0.0, 0.0)
 

@@ -36,8 +36,6 @@ from glsplat.tracking.solve.quat import (
 )
 from glsplat.tracking.solve.solution import Targets
 
-__all__ = ["DeviceFilter", "HeadAndHandFilters", "PositionFilter", "RotationFilter", "Trend"]
-
 Value = TypeVar("Value", bound=tuple[float, ...])
 
 

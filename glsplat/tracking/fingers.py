@@ -13,8 +13,6 @@ from glsplat.tracking.solve.body import FINGERS, Body
 from glsplat.tracking.solve.limits import FINGER_HIGH, FINGER_LOW, THUMB_LIMIT
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, unit
 
-__all__ = ["BothHandsFingers", "Fingers"]
-
 Array = NDArray[np.float64]
 
 RELAXED_CURL = 0.22  # of a hand without tracked fingers

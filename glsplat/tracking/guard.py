@@ -9,8 +9,6 @@ from glsplat.tracking.solve.limits import clamp_joint
 from glsplat.tracking.solve.quat import IDENTITY, Quat, Vec, add, distance, mul, nlerp, pull, rotate, slerp
 from glsplat.tracking.solve.solution import Solution
 
-__all__ = ["Guard"]
-
 LEGS = tuple(zip(HIPS, KNEES, ANKLES, FEET, strict=True))
 LEG_JOINTS = frozenset((*HIPS, *KNEES, *ANKLES))
 MAX_UNDER_FLOOR_M = 0.008  # of a sole

@@ -11,8 +11,6 @@ from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.solve.body import HAND_FRAMES, HEAD, HEAD_FRAME, Body
 from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec, conj, distance, mul, to_quat
 
-__all__ = ["MAX_DISTANCE_M", "InputJudge", "Moment", "flag_invalid", "head_frame", "read_pose", "read_position"]
-
 MAX_DISTANCE_M = 1e4  # a device farther away is not tracked
 MIN_STEP_S = 1e-4  # samples closer than this are of one moment
 FIRST_STEP_S = 1 / 72  # assumed between samples until two were seen

@@ -12,8 +12,6 @@ from glsplat.tracking.sample import Transform
 from glsplat.tracking.solve.body import ANKLES, EYES, PELVIS, Body
 from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec, add, length, normalized, rotate, scale, yaw_quat
 
-__all__ = ["JOINTS", "MAX_MOUNT_M", "MeanMount", "bounded", "standing_joints", "transform_of"]
-
 JOINTS = (PELVIS, *ANKLES)
 """Joints of the waist, the left and the right foot, in the order of ``TRACKERS``."""
 

@@ -13,8 +13,6 @@ from glsplat.errors import FormatError, PoseError
 from glsplat.io.files import open_regular, replace_file
 from glsplat.tracking.sample import Sample
 
-__all__ = ["embedded_recording", "json_lines", "record", "replay", "write_lines"]
-
 MAX_LINE_BYTES = 1 << 20
 DECIMALS = 6  # of written numbers
 

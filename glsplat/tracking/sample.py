@@ -26,32 +26,8 @@ from typing import Any
 from glsplat.errors import PoseError
 from glsplat.skinning.expression import ARKIT, MOST_NAMES
 
-__all__ = [
-    "BODY_JOINTS",
-    "HAND_JOINTS",
-    "MOST_JOINTS",
-    "TRACKERS",
-    "WRISTS",
-    "Sample",
-    "Transform",
-    "grouped",
-    "hand_joints",
-    "wrist_from_grip",
-]
-
 Transform = tuple[float, float, float, float, float, float, float]
 """x, y, z in metres, then the quaternion x, y, z, w."""
-
-HAND_JOINTS: tuple[str, ...] = (
-    "wrist",
-    *("thumb-metacarpal", "thumb-phalanx-proximal", "thumb-phalanx-distal", "thumb-tip"),
-    *(
-        f"{finger}-finger-{part}"
-        for finger in ("index", "middle", "ring", "pinky")
-        for part in ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
-    ),
-)
-"""WebXR's order of a hand's 25 joints."""
 
 TRACKERS = ("waist", "left_foot", "right_foot")
 """Trackers that may be there beside head and hands."""

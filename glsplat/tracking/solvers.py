@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from glsplat.tracking.solve.body import Body
     from glsplat.tracking.solve.solution import Solver
 
-__all__ = ["SOLVERS", "SolverName", "solver_of"]
-
 SolverName = Literal["analytic", "learned"]
 
 

@@ -28,8 +28,6 @@ from glsplat.tracking.solve.quat import rotation_vector, sub
 from glsplat.tracking.solve.solution import Solution, Solver
 from glsplat.tracking.solvers import SolverName, solver_of
 
-__all__ = ["Tracker", "TrackerConfig"]
-
 OUT_OF_REACH_M = 0.01  # metres a wrist misses its hand by before that is flagged
 HEAD_LIMIT_RAD = 0.05  # radians a head gives up to the neck's limits before that is flagged
 

@@ -19,8 +19,9 @@ from apps.replay import command as replay
 from apps.replay import link as link_module
 from apps.replay.link import Link, link, over
 from apps.replay.stage_table import comparison_markdown, table_text
-from apps.replay.streaming import POLICIES, STAGES, Result, observer
+from apps.replay.streaming import STAGES, Result, observer
 from glsplat.errors import GlsplatError
+from glsplat.net.flow import POLICIES
 from glsplat.net.reply import pack_reply, parse_reply
 from tests.apps.cli import parsed
 

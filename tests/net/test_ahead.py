@@ -11,8 +11,9 @@ from glsplat.data import default_avatar
 from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.backends.tracking import HORIZON_SHARE, MAX_HORIZON_S, PredictionHorizon, TrackingSolver
-from glsplat.net.messages import Arrival, Decoder, Request
+from glsplat.net.messages import Decoder, Request
 from glsplat.net.session import Session, SessionConfig
+from glsplat.net.wire_schema import Arrival
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.config import OneEuro
 from glsplat.tracking.filters import PositionFilter, RotationFilter, Trend

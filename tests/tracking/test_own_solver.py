@@ -16,11 +16,12 @@ from hypothesis import strategies as st
 from glsplat.data import default_avatar
 from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
+from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solution import Solution
 from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.tracking.tracker import Tracker
 
 NAN, INF = math.nan, math.inf
 SKELETON = default_avatar().skeleton

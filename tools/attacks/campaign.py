@@ -24,8 +24,6 @@ from tests.net.attacks.good import GoodClient, Service
 from tests.net.attacks.light import light_avatar
 from tests.net.attacks.victim import Victim, victim
 
-__all__ = ["Outcome", "measure"]
-
 HEAD = (
     "| attack | undisturbed | rate | age | afterwards | RSS MB | lives | log lines | losses | rebuilds | refused | |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|"

@@ -15,12 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.fit.standing.arms import ArmMixture
 from glsplat.rotations import quaternion_matrices
-
-__all__ = ["arms_of", "learned", "with_others", "write_mixture"]
-
-F64 = NDArray[np.float64]
 
 CREDIT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "

@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES
 from glsplat.meshes import RiggedMesh
-
-__all__ = ["even_lids", "lid_corners"]
-
-F64 = NDArray[np.float64]
 
 _LID = 0.12  # of the largest move; what a blink moves farther is lid
 _AROUND = 0.012  # metres from lids, where skin is that has their colour

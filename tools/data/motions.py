@@ -10,18 +10,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from glsplat.arrays import F64
 from glsplat.data import default_avatar
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
 
-__all__ = ["library", "to_json"]
-
-F64 = NDArray[np.float64]
 FPS = 30.0
 _INDEX = {name: i for i, name in enumerate(JOINT_NAMES)}
 _SIDES = (("left", 1.0), ("right", -1.0))

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.io.files import replace_file
-
-F64 = NDArray[np.float64]
 
 _SIZE = 0.82  # of ICT's teeth: the mouths' widths, 36 and 44 mm between the corners
 _LIPS = (

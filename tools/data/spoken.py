@@ -1,4 +1,4 @@
-"""What made voices say: texts to learn visemes from, and twenty sentences to measure with, ten of them set aside."""
+"""Texts that made voices say, to learn visemes from."""
 
 LEARNED: tuple[str, ...] = (
     "The quick brown fox jumps over the lazy dog near the river bank.",
@@ -61,9 +61,6 @@ LEARNED: tuple[str, ...] = (
     "Amber rubber slippers in the pepper bumper.",
     "Above, about, upon, among, amid, apart, abroad.",
     "Number, member, lumber, temper, bumper, simple, sample, amble.",
-)
-
-DEVELOPED: tuple[str, ...] = (
     "Maybe Bob will bring a bottle of plum jam to the meeting.",
     "The pale moon came up behind the mountain before midnight.",
     "Please put the blue map back on top of the piano.",
@@ -75,18 +72,3 @@ DEVELOPED: tuple[str, ...] = (
     "Do you remember the number of the empty apartment?",
     "A good idea needs time, food and a quiet evening.",
 )
-"""Looked at while the mouth was made; learned from, too."""
-
-SET_ASIDE: tuple[str, ...] = (
-    "Simple problems become big ones if nobody mentions them.",
-    "The museum opens at ten and closes before supper.",
-    "Peter bought a pair of brown boots in Melbourne.",
-    "I am glad to meet you, welcome to my home.",
-    "Umbrellas are cheap, but umpires prefer to be wet.",
-    "The teacher asked for silence and read a poem aloud.",
-    "Can you keep this cup of tea warm for me?",
-    "Big bad bears played drums in the camp by the pond.",
-    "Those five yellow chairs were left outside in the rain.",
-    "Tomorrow we may jump from the bridge into the lake.",
-)
-"""Written before the work began, heard once it was done."""

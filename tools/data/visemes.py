@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from apps.progress import each
+from glsplat.arrays import F32
 from glsplat.extras.speech.cepstra import Cepstra
 from glsplat.extras.speech.table import Framing
-from tools.data.spoken import DEVELOPED, LEARNED
+from tools.data.spoken import LEARNED
 from tools.data.voices import Said, espeak, flite
-
-F32 = NDArray[np.float32]
 
 FRAMING = Framing(
     hop=0.01, window=0.025, bands=24, low=80.0, high=7200.0, coefficients=13, tiny=1e-6,
@@ -122,7 +121,7 @@ def heard(said: Said, rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]
 def examples(rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
     """Everything that is learned from."""
     found = []
-    for text in each((*LEARNED, *DEVELOPED), "sentences"):
+    for text in each(LEARNED, "sentences"):
         for voice in ESPEAK:
             found.append(heard(espeak(text, voice, int(rng.integers(120, 210)), int(rng.integers(35, 70))), rng))
         found += [heard(flite(text, voice), rng) for voice in FLITE for _ in range(3)]

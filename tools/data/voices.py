@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.speech.sound import Sound, read_wav
 
-__all__ = ["Said", "espeak", "flite"]
-
 
 @dataclass(frozen=True)
 class Said:
@@ -69,7 +67,7 @@ def _library() -> tuple[Any, int]:
     return library, rate
 
 
-def espeak(text: str, voice: str = "en", words: int = 170, pitch: int = 50) -> Said:
+def espeak(text: str, voice: str, words: int, pitch: int) -> Said:
     """``words`` a minute."""
     library, rate = _library()
     _heard.clear()
@@ -86,7 +84,7 @@ def espeak(text: str, voice: str = "en", words: int = 170, pitch: int = 50) -> S
     return Said(sound, [(name, begin, end) for (name, begin), end in zip(_begins, ends, strict=True)])
 
 
-def flite(text: str, voice: str = "slt") -> Said:
+def flite(text: str, voice: str) -> Said:
     """Voices that were made of recordings of people: slt, rms, awb, kal16."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "said.wav"

@@ -29,8 +29,6 @@ from glsplat.net.codec.encode import covered_box, encode_picture
 from glsplat.net.pace.ladder import SCALES
 from glsplat.renderer import Renderer
 
-__all__ = ["Cost", "costs", "markdown"]
-
 SIDE = 1024  # pixels of a whole picture
 QUALITIES = (95, 90, 80, 70, 60, 50, 40, 30, 20, 10)
 CHROMA = ("444", "420", "411")

@@ -8,8 +8,6 @@ from statistics import median
 from glsplat.extras.far_links.link_control import LinkControl
 from tools.net.simulated_link import FULL, Fixed, Link, Oracle, Outcome, Policy, play
 
-__all__ = ["alone", "busy", "datagrams", "falling", "shared", "video"]
-
 RATES = (20, 5, 2)  # Mbit/s
 TRIPS = (20, 60, 150)  # ms
 LOSSES = (0, 1, 3)  # percent

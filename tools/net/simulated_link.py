@@ -30,8 +30,6 @@ from glsplat.extras.far_links.datagrams.packets import PIECE
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
 from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 
-__all__ = ["Fixed", "Link", "Oracle", "Outcome", "Policy", "draw_time", "play"]
-
 REFRESH = 1 / 72
 DRAW, ENCODE, DECODE = 0.050, 0.004, 0.004  # seconds
 FULL = 63_000  # bytes of a pair at full size and quality 80, whole

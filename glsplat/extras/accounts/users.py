@@ -26,8 +26,6 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.io.files import naming, open_regular, replace_file
 from glsplat.io.secret_files import warn_if_exposed
 
-__all__ = ["ANY", "Accounts", "User", "new_user", "read_users", "write_users"]
-
 ANY = "*"
 """Stands for all avatars or rooms."""
 

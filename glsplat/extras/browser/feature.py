@@ -6,8 +6,6 @@ from glsplat.extras.browser.poses.splat_files import SplatFiles
 from glsplat.net.feature import Feature
 from glsplat.net.options import ServerConfig
 
-__all__ = ["features"]
-
 
 def features(config: ServerConfig) -> list[Feature]:
     """Return the features of this extra that every server has."""

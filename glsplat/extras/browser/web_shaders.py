@@ -24,8 +24,6 @@ from glsplat.shaders.variant import (
     record_layout,
 )
 
-__all__ = ["page_programs", "page_variants", "programs_json"]
-
 _ES = "es300"
 _POSED = ("posed_mean", "posed_x", "posed_y", "posed_z")
 

@@ -10,8 +10,6 @@ from glsplat.formats.gltf.levels import LOD, finest_of
 from glsplat.formats.gltf.nodes import Instance, graph_of, instances
 from glsplat.formats.gltf.primitive import EXTENSION, packed_view
 
-__all__ = ["level_digest"]
-
 _TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4")
 
 

@@ -18,8 +18,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.consent.keys import PrivateKey, signature_of, signed_by
 from glsplat.extras.consent.record import canonical
 
-__all__ = ["ANYBODY", "Consent", "read_record", "signed_record"]
-
 ANYBODY = "*"
 """Driver that stands for everybody, with or without an account."""
 

@@ -18,11 +18,10 @@ from glsplat.errors import FormatError
 from glsplat.extras.consent.digest import level_digest
 from glsplat.extras.consent.document import Consent, read_record, signed_record
 from glsplat.extras.consent.keys import PrivateKey
-from glsplat.extras.consent.record import CONSENT, file_digest, record_of, without_record
+from glsplat.extras.consent.record import file_digest, record_of, without_record
 from glsplat.formats.gltf.container import JSON_CHUNK, MAGIC, Container, chunks, glb_length, read_container
+from glsplat.formats.gltf.output import CONSENT
 from glsplat.io.files import naming, open_regular, replace_file
-
-__all__ = ["NONE", "OnFile", "on_file", "on_file_data", "sign_data", "sign_file"]
 
 NONE = "no consent on file"
 """Shown, also in pictures, where a consent is missing."""

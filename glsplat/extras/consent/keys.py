@@ -16,8 +16,6 @@ from glsplat.optional import require_package
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-__all__ = ["PrivateKey", "new_key", "private_key", "public_key", "public_path", "short", "signature_of", "signed_by"]
-
 MAX_KEY_FILE_BYTES = 1 << 14
 _HEX = re.compile(r"[0-9a-f]{64}")
 

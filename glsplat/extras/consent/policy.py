@@ -9,8 +9,6 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.consent.file import NONE, OnFile
 from glsplat.extras.consent.keys import short
 
-__all__ = ["ConsentPolicy"]
-
 
 class ConsentPolicy:
     """Consents of a server's avatars, by name.

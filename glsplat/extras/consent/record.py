@@ -13,8 +13,6 @@ from typing import Any
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.output import CONSENT
 
-__all__ = ["CONSENT", "canonical", "file_digest", "is_of", "record_of", "without_record"]
-
 
 def canonical(value: Any) -> bytes:
     """Return JSON with sorted keys, without spaces, in UTF-8. Raises FormatError for text that is not Unicode."""

@@ -7,8 +7,6 @@ from pathlib import Path
 from glsplat.extras.consent.keys import PrivateKey, new_key, private_key
 from glsplat.net.guard.state_dir import lock_of
 
-__all__ = ["kept_key", "known_key"]
-
 _KEY = "consent-key"
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["SCORE_POSES", "Rotations", "fist", "pose_of", "score_pose"]
-
 Rotations = dict[str, tuple[float, float, float]]
 """Axis-angle a joint, radians."""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
@@ -18,10 +19,6 @@ from glsplat.extras.evaluate.metrics.structure import ssim
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.skinning.skin import strongest_joint
-
-__all__ = ["AvatarScore", "camera_around", "compare", "score"]
-
-F64 = NDArray[np.float64]
 
 DISTANCE = 3.0  # metres from the middle of the figure
 FILL = 0.94  # of the picture the figure takes, in its longer direction

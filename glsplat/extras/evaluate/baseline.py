@@ -15,8 +15,6 @@ from glsplat.extras.motions.derive import TrueMotion
 from glsplat.rotations import unit_vectors
 from glsplat.tracking.solve.body import HEAD, NECK, PELVIS, SPINE1, SPINE2, SPINE3, Body
 
-__all__ = ["baseline"]
-
 Array = NDArray[np.float64]
 
 _ARMS = ((13, 16, 18, 20), (14, 17, 19, 21))

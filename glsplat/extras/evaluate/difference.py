@@ -19,8 +19,6 @@ from glsplat.optional import require_package
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["PSNR_CAP", "Difference", "pareto", "reference_pictures", "require_extra"]
-
 PSNR_CAP = 160.0
 """Decibels reported for equal pictures: JSON has no infinity."""
 

@@ -22,8 +22,6 @@ from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.views import orbited, view_of, viewing_point
 
-__all__ = ["FOV", "STAGES", "WARM_UP", "Bench", "Binocular", "Series", "halves_apart", "timed", "triangles_of"]
-
 FOV = 65.0
 WARM_UP = 5
 STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")

@@ -11,16 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera, look_at
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh, vertex_normals
-
-__all__ = ["CaptureLight", "shade_of"]
-
-F64 = NDArray[np.float64]
 
 _WRAP = 0.15  # of Lambert's cosine: (n . l + wrap) / (1 + wrap)
 _FAR, _MAP, _BIAS = 60.0, 768, 0.012  # of the lamp: metres away, pixels of its depth map, metres of doubt

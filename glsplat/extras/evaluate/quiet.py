@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-__all__ = ["MAX_SHARE", "Quiet", "Watch", "until_quiet"]
-
 T = TypeVar("T")
 
 MAX_SHARE = 0.03

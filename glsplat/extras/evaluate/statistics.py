@@ -17,18 +17,6 @@ from glsplat.extras.statistics.bootstrap import interval_of_mean
 from glsplat.extras.statistics.holm import holm
 from glsplat.extras.statistics.ranks import rank_biserial, wilcoxon
 
-__all__ = [
-    "Paired",
-    "Summary",
-    "Values",
-    "compare",
-    "holm",
-    "interval_of_mean",
-    "rank_biserial",
-    "summarise",
-    "wilcoxon",
-]
-
 Values = Mapping[str, Mapping[str, float | None]]
 """Figures of one measure, by method and participant."""
 

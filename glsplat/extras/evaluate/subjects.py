@@ -32,17 +32,6 @@ from glsplat.views import orbited, view_of, viewing_point
 if TYPE_CHECKING:
     from glsplat.extras.authoring.sample.surface import SamplerConfig
 
-__all__ = [
-    "PERSON_SPLATS",
-    "Subject",
-    "cameras_for",
-    "check_cameras",
-    "dense_person",
-    "orbit",
-    "pose_of_frame",
-    "subjects_of",
-]
-
 NUDGE = 1e-6
 """Radians a given camera is turned by in every second frame: nothing one can see, but every frame is sorted.
 

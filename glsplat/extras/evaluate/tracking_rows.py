@@ -15,11 +15,10 @@ from glsplat.extras.motions.batch import forward_all
 from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.tracker import Tracker, TrackerConfig
-
-__all__ = ["SOLVERS", "Row", "rows_of"]
+from glsplat.tracking.tracker import Tracker
 
 BASELINES = ("glued", "naive", "naive, untold")
 SOLVERS = (*BASELINES, "analytic", "learned", "learned, head only")

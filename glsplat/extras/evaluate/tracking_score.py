@@ -11,8 +11,6 @@ from glsplat.errors import PoseError
 from glsplat.rotations import rotation_matrices
 from glsplat.tracking.solve.body import FEET, WRISTS
 
-__all__ = ["WINDOW", "TrackingScore", "mean_score", "score", "windows"]
-
 Array = NDArray[np.float64]
 
 BODY = slice(0, 22)  # the 22 joints of SMPL that the literature scores

@@ -9,15 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.light import CaptureLight, shade_of
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
-
-__all__ = ["Turntable", "turntable"]
-
-F64 = NDArray[np.float64]
 
 _UNEVEN = 0.2  # of a step: nobody turns like clockwork
 _SWAY = 0.02, 0.008  # radians a joint and metres a standing person drifts by, one standard deviation

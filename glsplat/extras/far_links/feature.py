@@ -6,8 +6,6 @@ from glsplat.extras.far_links.datagrams.feature import Datagrams
 from glsplat.net.feature import Feature
 from glsplat.net.options import ServerConfig
 
-__all__ = ["features"]
-
 
 def features(config: ServerConfig) -> list[Feature]:
     """Return WebTransport where ``config`` has it. Raises GlsplatError without a suitable aioquic."""

@@ -13,8 +13,6 @@ from collections import deque
 from dataclasses import dataclass
 from math import inf, isfinite
 
-__all__ = ["Delivered", "LinkEstimator"]
-
 RATE_WINDOW, ROUNDS = 1.0, 10
 """Seconds, and round trips, of which the best rate counts: the longer of both."""
 BASE_WINDOW = 10.0

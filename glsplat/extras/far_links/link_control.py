@@ -15,8 +15,6 @@ from statistics import median
 from glsplat.extras.far_links.link import LinkEstimator
 from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 
-__all__ = ["LinkControl"]
-
 USE = 0.93
 """Of the link's rate that is spent at most: what is left drains what has piled up."""
 AHEAD = 0.5

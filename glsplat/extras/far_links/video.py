@@ -27,8 +27,6 @@ from glsplat.optional import require_package
 if TYPE_CHECKING:
     from av import VideoCodecContext
 
-__all__ = ["CODECS", "STEPS", "Coder", "VideoStream", "available"]
-
 Image = NDArray[np.uint8]
 
 STEPS = (20, 40, 60, 80, 90)

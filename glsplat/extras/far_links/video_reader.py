@@ -15,8 +15,6 @@ from glsplat.optional import require_package
 if TYPE_CHECKING:
     from av import VideoCodecContext
 
-__all__ = ["VideoReader"]
-
 Image = NDArray[np.uint8]
 
 _NAMES = {"vp9": "vp09", "h264": "avc1"}  # a request's name: how a reply's name begins (docs/protocol.md, section 5.2)

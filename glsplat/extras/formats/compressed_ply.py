@@ -33,8 +33,6 @@ from glsplat.formats.ply import ANTIALIAS, PACKED, Element, is_ply, read_header,
 from glsplat.io.files import Source, replace_file
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["COMPRESSED_PLY", "read_compressed_ply", "save_compressed_ply"]
-
 _SNIFFED = 1 << 16  # bytes of a header
 _CHUNK = 256
 _BLOCK = 128 * _CHUNK  # splats converted at a time

@@ -8,15 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats import registry
 from glsplat.io.files import Source
 from glsplat.splats import SH_C0, Splats
-
-__all__ = ["Error", "Fidelity", "fidelity", "read_back"]
-
-F64 = NDArray[np.float64]
 
 _CHUNK = 1 << 14  # splats compared at a time
 _ROUNDING = 1e-6  # of a coordinate; float32 has 1.2e-7

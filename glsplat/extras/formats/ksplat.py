@@ -32,8 +32,6 @@ from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["KSPLAT", "read_ksplat"]
-
 _Row = TypeVar("_Row", bound=np.generic)
 
 _BLOCK = 1 << 15  # splats converted at a time

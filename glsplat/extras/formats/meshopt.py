@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 
-__all__ = ["unpacked"]
-
 U8 = NDArray[np.uint8]
 
 _GROUP, _BLOCK, _MOST = 16, 8192, 256  # elements a group, bytes and elements a block

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["morton_order"]
-
 _BITS = 10  # of each axis: a code has 30
 _CROWD = 256  # of one cell, more are ordered by a grid of their own
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError
 
-__all__ = ["array_names", "read_arrays"]
-
 _MOST = 1 << 30
 """Bytes that the arrays may take, unpacked: the body models in use take a tenth of it."""
 

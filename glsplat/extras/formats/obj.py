@@ -18,8 +18,6 @@ from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 
-__all__ = ["OBJ", "Obj", "flat", "parse_obj", "textures_of"]
-
 _GREY = 200  # of a face without a material
 _BEGINS = re.compile(rb"(?:[ \t]*(?:#[^\n]*)?\r?\n)*[ \t]*(?:mtllib|usemtl|vt|vn|v|o|g)[ \t]+\S")  # behind comments
 

@@ -17,8 +17,6 @@ from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.expression import MOST_NAMES
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["PERSON", "person_in", "read_body", "read_person", "read_skeleton"]
-
 _JOINTS = ("joint_names", "parents", "joints")
 _NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
 _BODY = ("v_template", "faces", *_JOINTS, "skin_indices", "skin_weights")

@@ -11,8 +11,6 @@ from glsplat.extras.formats.splat import SPLAT
 from glsplat.extras.formats.spz import SPZ
 from glsplat.formats.format import Format
 
-__all__ = ["add_formats"]
-
 
 def add_formats(formats: dict[str, Format]) -> None:
     """Add the rows to the registry."""

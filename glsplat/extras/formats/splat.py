@@ -16,8 +16,6 @@ from glsplat.formats.format import Format, Opened, clamped_opacities, positive_s
 from glsplat.io.files import Source, replace_file, sampled
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = ["SPLAT", "hidden", "looks_like_splat", "read_splat", "save_splat"]
-
 _RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rot", "u1", 4)])
 _CHUNK = 1 << 16  # splats written at a time
 _HALF = 0.5 / 255  # of a step of colours

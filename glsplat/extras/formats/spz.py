@@ -29,8 +29,6 @@ from glsplat.io.files import Source, replace_file
 from glsplat.optional import has_package, missing_package
 from glsplat.splats import Splats
 
-__all__ = ["SPZ", "read_spz", "save_spz", "spz_splats"]
-
 _MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 _HEADER = struct.Struct("<4sIIBBBB")
 _ANTIALIAS, _EXTENDED, _TREE = 1, 2, 0x80  # flags

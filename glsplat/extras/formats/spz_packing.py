@@ -25,14 +25,11 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.arrays import frozen
+from glsplat.arrays import F32, frozen
 from glsplat.extras.formats.splat import hidden
 from glsplat.rotations import sh_rotations
 from glsplat.splats import Splats, normalised
 
-__all__ = ["HALF_TURN", "Bytes", "SpzHeader", "lost", "packed", "position_bits", "unpacked"]
-
-F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 Bytes = bytes | bytearray | memoryview
 

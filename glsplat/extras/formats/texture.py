@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.formats.png import clean_png
 
-__all__ = ["decode_texture"]
-
 _LONGEST = 16_384  # pixels; what GL takes
 _MOST = 1 << 26  # pixels: a small file may claim more than there is memory
 

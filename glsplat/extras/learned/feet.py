@@ -25,8 +25,6 @@ from glsplat.tracking.solve.quat import (
     yaw_quat,
 )
 
-__all__ = ["Feet"]
-
 # lengths are those of a person of 1.7 m
 LIFT_BELOW, DROP_ABOVE = 0.55, 0.75  # stance of a foot: below, it is lifted; above, it is set down; at most ...
 LIFT_SHARE, DROP_SHARE = 0.5, 0.75  # ... this part of its recent range: an unsure network says neither 0 nor 1

@@ -12,21 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "INPUTS",
-    "OUTPUTS",
-    "RATE_HZ",
-    "TICK_S",
-    "NetworkOutput",
-    "TrackedFrames",
-    "in_yaw_frame",
-    "network_inputs",
-    "unit_of",
-    "updated_means",
-    "yaw_of",
-]
-
-F32 = NDArray[np.float32]
+from glsplat.arrays import F32
 
 RATE_HZ = 30.0  # of the network, whatever the samples' rate
 TICK_S = 1 / RATE_HZ

@@ -31,8 +31,6 @@ from glsplat.tracking.solve.quat import (
 )
 from glsplat.tracking.solve.solution import Targets
 
-__all__ = ["FootHint", "Hint", "Hints"]
-
 Array = NDArray[np.float32]
 
 TORSO_SMOOTHING_S = (0.024, 0.024, 0.024)  # of low passes, one after the other, on torso and knees

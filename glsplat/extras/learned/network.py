@@ -11,15 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.errors import FormatError
 from glsplat.extras.formats.npz import read_arrays
 from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE_HZ
-
-__all__ = ["VERSION", "PoseNetwork", "embedded_network", "load_network", "save_network"]
-
-F32 = NDArray[np.float32]
 
 VERSION = 1
 """Version of the file and of the network's inputs and outputs (``frames.py``); another one is refused."""

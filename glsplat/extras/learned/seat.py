@@ -21,8 +21,6 @@ from glsplat.tracking.solve.quat import (
     yaw_quat,
 )
 
-__all__ = ["OVER_CHAIR_S", "Seat"]
-
 # of the pelvis' height at rest
 SITS_BELOW, STANDS_ABOVE, LIES_BELOW = 0.74, 0.84, 0.2
 LEFT_SEAT = 0.16  # a pelvis that far from the seat is no longer on it

@@ -38,8 +38,6 @@ from glsplat.tracking.solve.solver import AnalyticSolver, assembled
 from glsplat.tracking.solve.spine import Spine, Torso
 from glsplat.tracking.solve.tracked import TrackedPelvis
 
-__all__ = ["LearnedSolver"]
-
 ANALYTIC_SHARE = 0.3  # of the pelvis' position and rotation
 LEAN_BACK, LEAN_BACK_SHARE = 0.035, 0.2  # tangent of a lean back, and the share of the excess that is shown
 HEADING_SHARE = 0.6  # of the guessed turn from head to body that is shown without hands

@@ -12,8 +12,6 @@ from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.quat import Vec, add, clamp, length, pull, rotate, sub, swing_twist_y, wrap, yaw_quat
 from glsplat.tracking.solve.solution import Targets
 
-__all__ = ["NETWORK_SHARE", "HeadRest", "Stance"]
-
 # lengths and speeds are those of eyes at 1.6 m
 REST_RADIUS_M, REST_TURN_RAD, REST_S = 0.04, 0.3, 0.4  # a head that stays within takes no step
 DRIFT_SMOOTHING_S = 0.4  # of the head's velocity: sway and gestures average out

@@ -8,8 +8,6 @@ from glsplat.tracking.solve import body as b
 from glsplat.tracking.solve.quat import Vec, clamp, length, rotate, scale, smoothstep, sub
 from glsplat.tracking.solve.solution import Targets
 
-__all__ = ["MAX_ERROR_M", "ExpectedError", "Uncertainty"]
-
 # pairs: an uncertainty begins beyond the first value, and ends beyond the second
 TILTED_UP = (0.3, 0.5)  # vertical part of the head's up: a head that lies or hangs
 LOW_EYES = (0.62, 0.68)  # of the eye height: a deep squat, on all fours, on the floor

@@ -6,8 +6,6 @@ from math import exp
 
 from glsplat.tracking.solve.quat import Vec, add, pull, scale, sub
 
-__all__ = ["SteadyPosition", "Velocity"]
-
 POSITION_SMOOTHING_S = (0.022, 0.022)  # of two low passes, one after the other
 LAG_SMOOTHING_S = 0.12  # of the velocity by which their lag is compensated
 

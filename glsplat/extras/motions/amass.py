@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.formats.npz import read_arrays
 from glsplat.motion.fitted import grounded, turned
@@ -16,10 +16,6 @@ from glsplat.rotations import rotation_matrices
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, POSE_KEYS
-
-__all__ = ["read_amass"]
-
-F64 = NDArray[np.float64]
 
 _AMASS_KEYS = (
     *("root_orient", "pose_body", "pose_jaw", "pose_eye", "pose_hand"),  # SMPL-X

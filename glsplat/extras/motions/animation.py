@@ -7,17 +7,13 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, item
 from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.schema import Index
 from glsplat.rotations import quaternion_matrices, unit_vectors
-
-__all__ = ["Animation", "Tracks", "animations_of", "names_of", "tracks_of"]
-
-F64 = NDArray[np.float64]
 
 _PATHS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",)}
 _KINDS = ("LINEAR", "STEP", "CUBICSPLINE")

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from glsplat.rotations import quaternion_vectors, rotation_matrices, vector_quaternions
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["forward_all", "resample"]
-
 Array = NDArray[np.float64]
 
 

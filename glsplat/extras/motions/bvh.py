@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip, chained, check_size
 from glsplat.rotations import rotation_matrices
 
-__all__ = ["parse_acclaim", "parse_bvh", "skeleton_file"]
-
-F64 = NDArray[np.float64]
 _Bone = dict[str, NDArray[np.float64] | list[str]]
 _ACCLAIM_FPS = 120.0  # the file does not say; CMU's captures
 _MAX_JOINTS = 1024

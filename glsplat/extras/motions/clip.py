@@ -8,11 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
-
-__all__ = ["Clip", "chained", "check_size"]
-
-F64 = NDArray[np.float64]
 
 _MOST = 1 << 22  # joints times frames; 96 bytes each
 _FARTHEST = 1e12  # in any unit

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.motion.fitted import grounded, turned
 from glsplat.motion.motion import Motion
 from glsplat.rotations import rotation_between, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
-
-__all__ = ["HELP", "Corrections", "split_corrections"]
-
-F64 = NDArray[np.float64]
 
 HELP = "up=z, scale=0.01, turn=180, floor=0, sides=swapped, fps=60"
 """Each that there is, once."""

@@ -18,17 +18,6 @@ from glsplat.tracking.sample import BODY_JOINTS, TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, FEET, HAND_FRAMES, HEAD, HIPS, KNEES, PELVIS, SPINE1, WRISTS, Body
 from glsplat.tracking.solve.quat import Vec
 
-__all__ = [
-    "EXTRAS",
-    "MOUNTS",
-    "Disturbance",
-    "TrueMotion",
-    "derive",
-    "disturb",
-    "truth_from_motion",
-    "with_expressions",
-]
-
 Array = NDArray[np.float64]
 
 EXTRAS = ("waist", "feet", "body")

@@ -10,18 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.motion.fitted import leg_length
 from glsplat.motion.motion import Motion
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["doubt"]
-
-F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")

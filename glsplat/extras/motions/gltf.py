@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.motions.animation import Animation, Tracks, animations_of, names_of, tracks_of
 from glsplat.extras.motions.clip import Clip, check_size
@@ -14,10 +14,6 @@ from glsplat.formats.format import Opened
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, graph_of, instances
 from glsplat.rotations import nearest_rotations
-
-__all__ = ["read_animation"]
-
-F64 = NDArray[np.float64]
 
 _FPS, _SLOWEST, _FASTEST = 30.0, 15.0, 120.0  # of pictures; of keys that may be the pictures' rate
 _MOST_NODES = 1 << 12

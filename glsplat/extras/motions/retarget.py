@@ -7,8 +7,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip
 from glsplat.extras.motions.standing import flat_soles, standing
@@ -20,10 +20,6 @@ from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_m
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["retarget", "stretched"]
-
-F64 = NDArray[np.float64]
 
 _AT = {name: i for i, name in enumerate(JOINT_NAMES)}
 _RIGID = 0.1  # of a bone: what skins and capturing systems change its length by

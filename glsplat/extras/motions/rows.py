@@ -14,8 +14,6 @@ from glsplat.motion.motion import Motion
 from glsplat.optional import missing, plugin
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["add_formats"]
-
 _AMASS_ARRAYS = {"poses", "pose_body"}
 _MESH_ARRAYS = {"v_template", "vertices", "faces"}
 

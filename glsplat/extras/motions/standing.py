@@ -5,18 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip
 from glsplat.extras.rigs.humanoid import upright
 from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.rotations import nearest_rotations, rotation_between, unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["Standing", "flat_soles", "standing"]
-
-F64 = NDArray[np.float64]
 
 _SIDES = ("left", "right")
 _LOOKED_AT = 256  # frames among which one is looked for that stands

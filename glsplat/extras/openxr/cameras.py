@@ -1,4 +1,4 @@
-"""Eyes of a runtime to cameras: any pose, off-centre frusta, the room as it is shown (mirror, facing)."""
+"""Convert the eyes of a runtime to cameras: any pose, off-centre frusta, a moved or mirrored room."""
 
 from __future__ import annotations
 
@@ -14,18 +14,16 @@ from glsplat.extras.openxr.runtime import Fov, ViewPose
 from glsplat.rotations import FLIP_YZ
 from glsplat.tracking.sample import Transform
 
-__all__ = ["camera_of", "intrinsics", "matrix_of", "rigid_inverse", "sighted"]
-
-_EYES = 8  # that are remembered: a frame asks for each of its eyes several times, and every microsecond makes it late
+_EYES = 8  # cached eyes: a frame uses each several times
 NEAR = 0.05
-"""Metres; what is nearer to an eye than this cannot be looked at."""
+"""Near plane in metres."""
 
 
 @lru_cache(_EYES)
 def intrinsics(fov: Fov, size: tuple[int, int]) -> NDArray[np.float64]:
-    """K [3, 3] in pixels of the frustum whose sides are the image's sides (OpenXR 1.1, 8.1, "XrFovf").
+    """Return K [3, 3] in pixels of a frustum that fills the image (OpenXR 1.1, 8.1, "XrFovf").
 
-    Raises GlsplatError for angles that span nothing, as a runtime may give them before it knows its device.
+    Raises GlsplatError for an empty frustum, as a runtime may report before its device is ready.
     """
     width, height = size
     angles = (fov.left, fov.right, fov.up, fov.down)
@@ -40,12 +38,12 @@ def intrinsics(fov: Fov, size: tuple[int, int]) -> NDArray[np.float64]:
 
 @lru_cache(_EYES)
 def matrix_of(pose: Transform) -> NDArray[np.float64]:
-    """[4, 4] room from what has this pose. Raises FormatError for what is no pose."""
+    """Return the matrix [4, 4] from the pose's frame to the room. Raises FormatError for an invalid pose."""
     return _kept(head_matrix(pose[:3], pose[3:]))
 
 
 def rigid_inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of a rotation or reflection with a translation."""
+    """Return the inverse of a rotation or reflection with a translation, [4, 4]."""
     out = np.eye(4)
     out[:3, :3] = matrix[:3, :3].T
     out[:3, 3] = -out[:3, :3] @ matrix[:3, 3]
@@ -53,7 +51,7 @@ def rigid_inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def sighted(views: tuple[ViewPose, ViewPose] | None) -> tuple[ViewPose, ViewPose] | None:
-    """The eyes if they can be drawn for: runtimes tell zeros before they know their device, and NaN when they err."""
+    """Return the eyes if they are valid, else None: runtimes report zeros at first, and NaN on errors."""
     try:
         for view in views or ():
             intrinsics(view.fov, (1, 1))
@@ -69,7 +67,7 @@ def camera_of(
     shown: NDArray[np.float64],  # [4, 4] the user's room to the room as it is shown; of a mirror a reflection
     background: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Camera:
-    """What an eye sees of the user's own room while that is shown elsewhere (``Place.shown``).
+    """Return the camera of an eye for the user's room, which is shown elsewhere (``Place.shown``).
 
     viewmat = diag(1, -1, -1, 1) inverse(T_W_e) shown (docs/conventions.md); in a mirror its determinant is -1.
     """
@@ -78,6 +76,6 @@ def camera_of(
 
 
 def _kept(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Several share it."""
+    """Return the matrix, read-only: the cache shares it."""
     matrix.setflags(write=False)
     return matrix

@@ -18,8 +18,6 @@ from glsplat.renderer.targets import Target
 from glsplat.shaders import Variant, flatten, link, set_uniforms
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["DepthRange", "EyeImages", "EyePass", "Surroundings"]
-
 _FRAMEBUFFER, _COLOUR, _DEPTH, _COMPLETE = 0x8D40, 0x8CE0, 0x8D00, 0x8CD5
 _ALWAYS, _LEQUAL = 0x0207, 0x0203
 _U, _I = ctypes.c_uint, ctypes.c_int

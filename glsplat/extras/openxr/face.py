@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 
 from glsplat.skinning.expression import ARKIT
 
-__all__ = ["HTC_EYES", "HTC_LIPS", "META", "expression_of_htc", "expression_of_meta"]
-
 Table = Mapping[str, tuple[int, ...]]
 """A shape of ARKit, and the weights whose mean it is."""
 

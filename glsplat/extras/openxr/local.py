@@ -13,9 +13,10 @@ from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
 from glsplat.extras.openxr.cameras import NEAR, camera_of, sighted
 from glsplat.extras.openxr.eyes import DepthRange, Surroundings
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
 from glsplat.extras.openxr.placing import Place, ViewName
 from glsplat.extras.openxr.room import surroundings
-from glsplat.extras.openxr.runtime import FrameTiming, Projection, Runtime, ViewPose
+from glsplat.extras.openxr.runtime import FrameTiming, Projection, ViewPose
 from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
 from glsplat.extras.openxr.wearer import Wearer
@@ -30,8 +31,6 @@ from glsplat.timing import StageTimer
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
-
-__all__ = ["LocalShow"]
 
 FAR = 100.0
 """Far plane of submitted depths in metres; larger depths are clamped to it."""
@@ -119,7 +118,7 @@ class LocalShow:
         """Whether the wearer drives an avatar."""
         return self._tracker is not None
 
-    def attach(self, runtime: Runtime) -> None:
+    def attach(self, runtime: OpenXrRuntime) -> None:
         """Make swapchains of the runtime's size."""
         size = fitting(runtime, self._scale, self._context.max_size)
         self._eyes = EyeSwapchains(runtime, self._context, size, self._depth)
@@ -138,7 +137,7 @@ class LocalShow:
         if self._tracker is not None:
             self._tracker.reset()
 
-    def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
+    def frame(self, runtime: OpenXrRuntime, timing: FrameTiming, focused: bool) -> Shown:
         """Track and solve the wearer, locate the eyes as late as possible, draw, and fill the swapchains."""
         eyes = self._eyes
         assert eyes is not None

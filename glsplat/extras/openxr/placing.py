@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["MIRROR", "VIEWS", "Glass", "Place", "ViewName", "heading", "placing", "standing"]
+from glsplat.arrays import F64
 
-F64 = NDArray[np.float64]
 ViewName = Literal["mirror", "facing", "own"]
 VIEWS: tuple[ViewName, ...] = ("mirror", "facing", "own")
 """In the order in which a button goes through them."""

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.openxr.cameras import intrinsics, matrix_of
 from glsplat.extras.openxr.eyes import Surroundings
 from glsplat.extras.openxr.placing import MIRROR, Place
 from glsplat.extras.openxr.runtime import ViewPose
-
-__all__ = ["plane_from_pixel", "surroundings"]
-
-F64 = NDArray[np.float64]
 
 FRAME = 0.03  # metres around a mirror's glass
 FLOOR = (5.0, 6.0)  # metres: half of its side, and from the eye to where it is dark

@@ -1,8 +1,7 @@
-"""What a session asks of an OpenXR runtime, in plain values: poses, fields of view, states, images by GL names.
+"""What a session and an OpenXR runtime exchange, in plain values: poses, fields of view, states, what is shown.
 
-``openxr.openxr`` answers by pyopenxr; tests have a runtime of their own. Sections are those of the OpenXR 1.1
-specification. Poses are ``Transform``s in the session's space: y up, metres, the floor at y = 0; times are its
-nanoseconds.
+``openxr.runtime`` fills them by pyopenxr. Sections are those of the OpenXR 1.1 specification. Poses are
+``Transform``s in the session's space: y up, metres, the floor at y = 0; times are its nanoseconds.
 """
 
 from __future__ import annotations
@@ -10,24 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 from glsplat.extras.openxr.eyes import DepthRange
 from glsplat.tracking.sample import Transform
 
-__all__ = [
-    "Blend",
-    "Devices",
-    "Event",
-    "Fov",
-    "FrameTiming",
-    "Hands",
-    "Projection",
-    "Runtime",
-    "State",
-    "SwapchainImages",
-    "ViewPose",
-]
+if TYPE_CHECKING:
+    from glsplat.extras.openxr.openxr.swapchain import Swapchain
 
 Blend = Literal["opaque", "additive", "alpha"]
 """XrEnvironmentBlendMode; alpha also where XR_FB_passthrough takes its place."""
@@ -59,7 +47,7 @@ class Fov:
 
 @dataclass(frozen=True, slots=True)
 class ViewPose:
-    """XrView: where an eye is and what it sees. What a picture was drawn for is given back with it."""
+    """XrView: pose and field of view of an eye; submitted with the picture that was drawn for it."""
 
     pose: Transform
     fov: Fov
@@ -67,7 +55,7 @@ class ViewPose:
 
 @dataclass(frozen=True, slots=True)
 class FrameTiming:
-    """XrFrameState: what xrWaitFrame says of the frame that begins."""
+    """XrFrameState of the frame that begins."""
 
     display_time: int  # nanoseconds
     period: int
@@ -76,7 +64,7 @@ class FrameTiming:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that the runtime tells: a ``state``, or that the user's space is another from ``time`` on."""
+    """An event of the runtime: a new ``state``, a loss, or a new origin of the user's space from ``time`` on."""
 
     kind: Literal["state", "recentred", "lost"]
     state: State = State.UNKNOWN
@@ -89,7 +77,7 @@ Hands = tuple[tuple[Transform, ...] | None, tuple[Transform, ...] | None]
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """What is known of the user at one time. What the runtime lacks, or loses, is None; numbers as they came."""
+    """Tracked devices of the user at one time, unchecked; None where the runtime has none, or lost it."""
 
     head: Transform | None = None
     grips: tuple[Transform | None, Transform | None] = (None, None)
@@ -104,125 +92,12 @@ class Devices:
     next_view: bool = False  # the button A or X is down
 
 
-class SwapchainImages(Protocol):
-    """One XrSwapchain (11.3): an image is acquired, drawn into, released, in that order."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width, height."""
-        ...
-
-    @property
-    def layers(self) -> int:
-        """Of each image; 1: a plain texture."""
-        ...
-
-    @property
-    def textures(self) -> Sequence[int]:
-        """GL names, an image each."""
-        ...
-
-    def acquire(self) -> int:
-        """The index of the image to draw into now, once the runtime no longer reads it."""
-        ...
-
-    def release(self) -> None:
-        """It is drawn."""
-        ...
-
-    def close(self) -> None:
-        """Destroy it."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """A projection layer (11.4): what was drawn last into ``colour``, and the poses that it was drawn for."""
+    """A projection layer (11.4): the newest picture in ``colour``, and the poses that it was drawn for."""
 
     views: Sequence[ViewPose]  # left first
-    colour: Sequence[SwapchainImages]  # one of two layers, or one an eye
-    depth: Sequence[SwapchainImages] = ()  # likewise, or none
+    colour: Sequence[Swapchain]  # one of two layers, or one an eye
+    depth: Sequence[Swapchain] = ()  # likewise, or none
     depth_range: DepthRange | None = None
     transparent: bool = False  # what is behind shows by alpha; colours are premultiplied
-
-
-class Runtime(Protocol):
-    """One instance with its system and session. ContextLostError from any call: it is gone, only ``close`` is left."""
-
-    @property
-    def name(self) -> str:
-        """What it calls itself."""
-        ...
-
-    @property
-    def extensions(self) -> frozenset[str]:
-        """Those that are on."""
-        ...
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Pixels that it recommends for an eye."""
-        ...
-
-    @property
-    def max_size(self) -> tuple[int, int]:
-        """Pixels of an image, at most."""
-        ...
-
-    @property
-    def blends(self) -> Sequence[Blend]:
-        """What it can do; what it prefers comes first."""
-        ...
-
-    @property
-    def formats(self) -> Sequence[int]:
-        """GL's internal formats of its images, likewise."""
-        ...
-
-    def poll(self) -> Event | None:
-        """The next event, None if there is none."""
-        ...
-
-    def begin(self) -> None:
-        """xrBeginSession, in the state READY."""
-        ...
-
-    def end(self) -> None:
-        """xrEndSession, in the state STOPPING."""
-        ...
-
-    def request_exit(self) -> None:
-        """Ask for the way out: STOPPING comes."""
-        ...
-
-    def wait_frame(self) -> FrameTiming:
-        """xrWaitFrame: returns when the next frame is to be begun."""
-        ...
-
-    def begin_frame(self) -> None:
-        """xrBeginFrame."""
-        ...
-
-    def end_frame(self, display_time: int, projection: Projection | None, blend: Blend) -> None:
-        """xrEndFrame: show this, or nothing."""
-        ...
-
-    def views(self, time: int) -> tuple[ViewPose, ViewPose] | None:
-        """xrLocateViews for that time; None while the head's pose is not known."""
-        ...
-
-    def devices(self, time: int, active: bool) -> Devices:
-        """What is tracked, for that time; actions are read while ``active`` (FOCUSED)."""
-        ...
-
-    def move(self, place: Transform) -> None:
-        """Put the session's space there: a pose in the space as it was at the beginning."""
-        ...
-
-    def swapchain(self, internal_format: int, size: tuple[int, int], layers: int, depth: bool) -> SwapchainImages:
-        """Make one. GlsplatError if it cannot have so many layers."""
-        ...
-
-    def close(self) -> None:
-        """Destroy everything; may be called in any state, and when the runtime is gone."""
-        ...

@@ -10,8 +10,6 @@ from glsplat.extras.openxr.runtime import Devices
 from glsplat.tracking.sample import BODY_JOINTS, Sample, Transform, wrist_from_grip
 from glsplat.tracking.solve.quat import conj, mul, rotate
 
-__all__ = ["BODY_INDEX", "pinched", "sample_of"]
-
 GRASP = 0.25
 """Curl of fingers around a controller that presses nothing."""
 

@@ -1,7 +1,7 @@
-"""Session: the frame loop and the states as the specification wants them (OpenXR 1.1, 9.3 and 11.5).
+"""Session: the frame loop and session states of the specification (OpenXR 1.1, 9.3 and 11.5).
 
-No pyopenxr and no OpenGL here: a ``Runtime`` is asked, a ``Show`` draws. A runtime that goes is closed, and a new one
-is asked for, ever less often, until it is there again.
+It calls neither OpenGL nor pyopenxr: a ``Show`` draws. After a loss it closes the runtime and reconnects, with growing
+pauses.
 """
 
 from __future__ import annotations
@@ -14,45 +14,38 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from glsplat.errors import ContextError, ContextLostError
-from glsplat.extras.openxr.runtime import Blend, FrameTiming, Projection, Runtime, State
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
+from glsplat.extras.openxr.runtime import Blend, FrameTiming, Projection, State
 from glsplat.net.flow import Backoff
 
-__all__ = ["Session", "Show", "Shown"]
-
-_IDLE = 0.02  # seconds between looks at a session that does not run
-_PATIENCE = 3.0  # seconds in which a runtime lets us out, before we leave by ourselves
+_IDLE = 0.02  # seconds between polls of a session that does not run
+_PATIENCE = 3.0  # seconds for the runtime to end the session after request_exit
 _MEASURED = 512  # frames
-
-RUNNING = (State.READY, State.SYNCHRONIZED, State.VISIBLE, State.FOCUSED)
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What a frame came to."""
+    """Result of a frame."""
 
     projection: Projection | None
     located: float  # when the views were located: seconds of time.perf_counter
-    drawing: float  # seconds since then that went into the picture itself
+    drawing: float  # seconds of drawing since then
 
 
 class Show(Protocol):
-    """Who draws. All calls come from the session's thread; any may raise ContextLostError for the runtime's sake."""
+    """Draws frames. All calls come from the session's thread; any may raise ContextLostError of the runtime."""
 
-    def attach(self, runtime: Runtime) -> None:
-        """A runtime is there: make what is needed of it."""
-        ...
+    def attach(self, runtime: OpenXrRuntime) -> None:
+        """Make the swapchains of a connected runtime."""
 
-    def frame(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Shown:
+    def frame(self, runtime: OpenXrRuntime, timing: FrameTiming, focused: bool) -> Shown:
         """Draw for the display time of ``timing``, between begin and end of a frame."""
-        ...
 
     def recentred(self) -> None:
-        """The user looks another way from now on."""
-        ...
+        """Place the view again: the origin of the user's space has changed."""
 
     def detach(self) -> None:
-        """The runtime goes, or is gone: give back what was made of it."""
-        ...
+        """Release the swapchains of a runtime that ends or is lost."""
 
 
 class Session:
@@ -60,7 +53,7 @@ class Session:
 
     def __init__(
         self,
-        connect: Callable[[], Runtime],
+        connect: Callable[[], OpenXrRuntime],
         show: Show,
         blend: Blend = "opaque",
         say: Callable[[str], None] = lambda _: None,
@@ -74,35 +67,35 @@ class Session:
         self.state: State = State.UNKNOWN
         self.frames = 0  # ended so far, with or without a picture
         self.rendered = 0  # of them, with one
-        self.losses = 0  # runtimes that went
+        self.losses = 0  # lost runtimes
         self._running = False  # between xrBeginSession and xrEndSession
-        self._quit: float | None = None  # when we have to be out
+        self._quit: float | None = None  # deadline for leaving
         self._over = False
         self._recentre: int | None = None  # the display time from which the space is another
         self._overheads: deque[float] = deque(maxlen=_MEASURED)
         self._backoff = Backoff()
         self._again = 0.0
-        self._runtime: Runtime | None = None
+        self._runtime: OpenXrRuntime | None = None
         self._open()
 
     @property
-    def runtime(self) -> Runtime | None:
-        """The one that is there."""
+    def runtime(self) -> OpenXrRuntime | None:
+        """The connected runtime; None after a loss."""
         return self._runtime
 
     @property
     def focused(self) -> bool:
-        """Whether the user's input is ours."""
+        """Whether this application receives the user's input."""
         return self.state is State.FOCUSED
 
     @property
     def overhead_ms(self) -> float:
-        """Milliseconds from located views to the frame's end that went into anything but drawing; median of frames."""
+        """Median milliseconds from located views to the end of the frame, without drawing."""
         ordered = sorted(self._overheads)
         return ordered[len(ordered) // 2] * 1e3 if ordered else 0.0
 
     def quit(self) -> None:
-        """Ask the runtime to let us go; ``step`` goes on until it has."""
+        """Request the end of the session; call ``step`` until it returns False."""
         if self._quit is not None:
             return
         self._quit = self._clock() + _PATIENCE
@@ -115,7 +108,7 @@ class Session:
             self._over = True
 
     def step(self) -> bool:
-        """One frame, or a look at a session that does not run. False when it is over."""
+        """Run one frame, or poll a session that does not run. Returns False when it is over."""
         if self._over or (self._quit is not None and self._clock() > self._quit):
             return False
         if self._runtime is None:
@@ -134,13 +127,13 @@ class Session:
         return not self._over
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release everything."""
         self._drop()
         self._over = True
 
     # ---------------------------------------------------------------------------------------------------- a frame
 
-    def _frame(self, runtime: Runtime) -> None:
+    def _frame(self, runtime: OpenXrRuntime) -> None:
         timing = runtime.wait_frame()
         if self._recentre is not None and timing.display_time >= self._recentre:
             self._recentre = None
@@ -151,7 +144,7 @@ class Session:
             if timing.should_render:
                 shown = self._show.frame(runtime, timing, self.focused)
         except BaseException:
-            with suppress(ContextLostError):  # a frame that was begun is ended, whatever happens
+            with suppress(ContextLostError):  # end every frame that was begun
                 runtime.end_frame(timing.display_time, None, self._blend(runtime))
             raise
         projection = None if shown is None else shown.projection
@@ -161,11 +154,11 @@ class Session:
             self.rendered += 1
             self._overheads.append(self._clock() - shown.located - shown.drawing)
 
-    def _blend(self, runtime: Runtime) -> Blend:
-        """As it was asked for, where the runtime has it: one that came back may be another."""
+    def _blend(self, runtime: OpenXrRuntime) -> Blend:
+        """Return the chosen blend mode if the runtime has it: a new runtime may differ."""
         return self.blend if self.blend in runtime.blends or not runtime.blends else runtime.blends[0]
 
-    def _listen(self, runtime: Runtime) -> None:
+    def _listen(self, runtime: OpenXrRuntime) -> None:
         while (event := runtime.poll()) is not None:
             if event.kind == "lost":
                 raise ContextLostError(f"{runtime.name} is going")

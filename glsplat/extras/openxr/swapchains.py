@@ -10,20 +10,20 @@ import moderngl
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.extras.openxr.eyes import DepthRange, EyeImages, EyePass, Surroundings
-from glsplat.extras.openxr.runtime import Projection, Runtime, SwapchainImages, ViewPose
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
+from glsplat.extras.openxr.openxr.swapchain import Swapchain
+from glsplat.extras.openxr.runtime import Projection, ViewPose
 from glsplat.gl.context import Context
 from glsplat.renderer.targets import Target
 
-__all__ = ["EyeSwapchains", "fitting"]
-
 SRGB8, RGBA16F, RGBA8 = 0x8C43, 0x881A, 0x8058
-"""GL_SRGB8_ALPHA8: our colours are encoded, and so are its bytes. Others hold light, and are converted to."""
+"""GL formats of colour, the best first. Colours are sRGB already; for the last two they are converted to light."""
 
 DEPTHS = (0x8CAC, 0x81A6, 0x81A5)  # GL_DEPTH_COMPONENT32F, 24, 16
 
 
-def fitting(runtime: Runtime, scale: float, most: int) -> tuple[int, int]:
-    """Pixels of an eye: what the runtime recommends, scaled, within its limit and that of the driver."""
+def fitting(runtime: OpenXrRuntime, scale: float, most: int) -> tuple[int, int]:
+    """Return the pixels of an eye: the recommended size times ``scale``, within the runtime's and driver's limits."""
     width, height = (max(1, round(side * scale)) for side in runtime.size)
     limits = (min(runtime.max_size[0], most), min(runtime.max_size[1], most))
     shrink = min(1.0, limits[0] / width, limits[1] / height)
@@ -31,9 +31,9 @@ def fitting(runtime: Runtime, scale: float, most: int) -> tuple[int, int]:
 
 
 class EyeSwapchains:
-    """Made for one size; ``fill`` draws the next image of all of them."""
+    """Swapchains of one size; ``fill`` draws into the next image of each."""
 
-    def __init__(self, runtime: Runtime, context: Context, size: tuple[int, int], depth: bool) -> None:
+    def __init__(self, runtime: OpenXrRuntime, context: Context, size: tuple[int, int], depth: bool) -> None:
         self.size: tuple[int, int] = size
         colour = next((f for f in (SRGB8, RGBA16F, RGBA8) if f in runtime.formats), None)
         if colour is None:
@@ -43,7 +43,7 @@ class EyeSwapchains:
         self._stack = ExitStack()
         with ExitStack() as stack:
             self._colour = _made(runtime, colour, size, False, stack)
-            self._depth: Sequence[SwapchainImages] = ()
+            self._depth: Sequence[Swapchain] = ()
             if deep is not None:
                 self._depth = _made(runtime, deep, size, True, stack)
                 if len(self._depth) != len(self._colour):  # the pass writes both by one draw or by two
@@ -60,7 +60,7 @@ class EyeSwapchains:
 
     @property
     def layers(self) -> int:
-        """Of one image: 2 where one draw fills both eyes."""
+        """Layers of an image: 2 if one draw fills both eyes."""
         return self._colour[0].layers
 
     def fill(
@@ -70,10 +70,10 @@ class EyeSwapchains:
         around: Surroundings | None = None,
         finish: Callable[[], None] | None = None,
     ) -> float:
-        """Draw a pair of this size into the next images; seconds that drawing took, with ``finish`` the GPU's too."""
+        """Draw a pair into the next images; return the seconds it took, including the GPU's with ``finish``."""
         chains = [*self._colour, *self._depth]
         names = []
-        taken: list[SwapchainImages] = []
+        taken: list[Swapchain] = []
         try:
             for chain in chains:
                 index = chain.acquire()
@@ -100,17 +100,17 @@ class EyeSwapchains:
         around: Surroundings | None = None,
         eye: int = 0,
     ) -> None:
-        """What ``fill`` puts into an eye's image, in a window."""
+        """Show in a window what ``fill`` draws for one eye."""
         self._pass.show(target, framebuffer, size, around, eye)
 
     def projection(
         self, views: Sequence[ViewPose], depth: DepthRange | None = None, transparent: bool = False
     ) -> Projection:
-        """What was filled last, drawn for these views."""
+        """Return the projection layer of the last filled images, drawn for ``views``."""
         return Projection(tuple(views), self._colour, self._depth, depth, transparent)
 
     def close(self) -> None:
-        """Destroy them. ContextLostError is no obstacle: what a runtime that is gone had is gone."""
+        """Destroy the swapchains; a lost runtime has no swapchains left."""
         try:
             self._stack.close()
         except ContextLostError:
@@ -118,9 +118,9 @@ class EyeSwapchains:
 
 
 def _made(
-    runtime: Runtime, internal_format: int, size: tuple[int, int], depth: bool, stack: ExitStack
-) -> tuple[SwapchainImages, ...]:
-    """One of two layers, or two."""
+    runtime: OpenXrRuntime, internal_format: int, size: tuple[int, int], depth: bool, stack: ExitStack
+) -> tuple[Swapchain, ...]:
+    """Return one swapchain of two layers, or two of one layer."""
     try:
         chains = [runtime.swapchain(internal_format, size, 2, depth)]
     except ContextLostError:

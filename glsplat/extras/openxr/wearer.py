@@ -1,4 +1,4 @@
-"""Wearer: what a session knows of its user from frame to frame: the view that is shown, gestures, where they stand."""
+"""Wearer: the state of a session's user: the view, gestures, and where they stand."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from glsplat.extras.openxr.cameras import matrix_of
+from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
 from glsplat.extras.openxr.placing import VIEWS, Place, ViewName, placing, standing
-from glsplat.extras.openxr.runtime import Devices, FrameTiming, Runtime
+from glsplat.extras.openxr.runtime import Devices, FrameTiming
 from glsplat.extras.openxr.samples import pinched, sample_of
 from glsplat.tracking.sample import Sample
-
-__all__ = ["Moment", "Wearer"]
 
 _DOUBLE = 0.5  # seconds between two pinches of the left hand that go to the next view
 _IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -20,7 +19,7 @@ _STALE = 2.0  # seconds without a frame after which the view is placed anew: the
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One frame's user."""
+    """The user at one frame."""
 
     sample: Sample
     devices: Devices
@@ -28,26 +27,26 @@ class Moment:
 
 
 class Wearer:
-    """``look`` once a frame. ``room``: with others in a server's room (docs/protocol.md, 2.1)."""
+    """Call ``look`` once a frame. ``room``: in a server's room with others (docs/protocol.md, 2.1)."""
 
     def __init__(
         self, view: ViewName = "mirror", room: bool = False, heard: Callable[[Sample], None] = lambda _: None
     ) -> None:
         self.view: ViewName = view
         self.room = room
-        self._heard = heard  # is told every sample
+        self._heard = heard  # receives every sample
         self._place: Place | None = None
         self._stood = not room
-        self._moved = False  # the space, to where they stood
+        self._moved = False  # the space was moved to where they stood
         self._pressed = self._pinching = False
         self._pinched = self._last = float("-inf")
 
-    def look(self, runtime: Runtime, timing: FrameTiming, focused: bool) -> Moment | None:
-        """Locate the user for the frame's display time; None until there was a head once."""
+    def look(self, runtime: OpenXrRuntime, timing: FrameTiming, focused: bool) -> Moment | None:
+        """Return the user at the frame's display time; None until the head was tracked once."""
         now = timing.display_time * 1e-9
         devices = runtime.devices(timing.display_time, focused)
         if devices.head is not None and not self._stood:
-            if self._moved:  # where they stand is told in the runtime's own space
+            if self._moved:  # the standing place is in the runtime's own space
                 runtime.move(_IDENTITY)
                 devices = runtime.devices(timing.display_time, focused)
         if devices.head is not None and not self._stood:
@@ -59,7 +58,7 @@ class Wearer:
         if now - self._last > _STALE:
             self._place = None
         self._last = now
-        if focused:  # pinches before the runtime's own menu are not meant for us
+        if focused:  # pinches in the runtime's own menu do not count
             self._gestures(devices, now)
         if devices.head is not None and self._place is None:
             self._place = placing(self.view, matrix_of(devices.head), self.room)
@@ -68,20 +67,20 @@ class Wearer:
         return None if self._place is None else Moment(sample, devices, self._place)
 
     def next_view(self) -> None:
-        """Mirror, facing, own body, and round again; placed before the user anew."""
+        """Show the next of mirror, facing and own body, placed in front of the user."""
         self.show(VIEWS[(VIEWS.index(self.view) + 1) % len(VIEWS)])
 
     def show(self, view: ViewName) -> None:
-        """Show this view, placed anew."""
+        """Show this view, placed in front of the user."""
         self.view, self._place = view, None
 
     def recentred(self) -> None:
-        """The user looks another way from now on: what is shown is placed before them anew."""
+        """Place the view in front of the user again: the origin of their space has changed."""
         self._place = None
         self._stood = not self.room
 
     def _gestures(self, devices: Devices, now: float) -> None:
-        """The button A or X, or two pinches of the left hand: the next view."""
+        """Go to the next view at button A or X, or two pinches of the left hand."""
         if devices.next_view and not self._pressed:
             self.next_view()
         self._pressed = devices.next_view

@@ -24,8 +24,6 @@ from glsplat.errors import GlsplatError
 from glsplat.io.files import open_regular, replace_file
 from glsplat.net.guard.state_dir import lock_of
 
-__all__ = ["CERTIFICATE", "KEY", "StoredCertificate", "holds", "kept_certificate", "short_lived_certificate"]
-
 KEY, CERTIFICATE = "key-and-certificate.pem", "certificate.pem"
 """The names of the files in the folder."""
 _LIFETIME = timedelta(days=730)  # Apple's systems refuse more than 825 days

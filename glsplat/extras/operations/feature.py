@@ -17,8 +17,6 @@ from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.options import ServerConfig
 from glsplat.net.rights import user_of
 
-__all__ = ["StatusPages", "features"]
-
 
 def features(config: ServerConfig) -> list[Feature]:
     """Return the features of this extra."""

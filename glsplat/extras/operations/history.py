@@ -10,8 +10,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-__all__ = ["History"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 STEP_S = 2.0

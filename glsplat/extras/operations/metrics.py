@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["metrics_text"]
-
 _COUNTERS = {
     "received": "messages received",
     "accepted": "requests that entered the mailbox",

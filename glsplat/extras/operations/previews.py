@@ -27,8 +27,6 @@ from glsplat.net.rights import user_of
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Previews", "flattened"]
-
 PORTRAIT_PX = 192
 """Side of an avatar's portrait."""
 

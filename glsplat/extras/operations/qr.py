@@ -6,8 +6,6 @@ import asyncio
 
 from glsplat.optional import has_package, require_package
 
-__all__ = ["QrCodes", "svg", "terminal"]
-
 _BORDER = 4  # modules of quiet zone (ISO/IEC 18004)
 _BLOCKS = {(True, True): " ", (False, True): "▀", (True, False): "▄", (False, False): "█"}  # (upper, lower) is dark
 # palette entries that themes do not change: light modules are light on every terminal's background

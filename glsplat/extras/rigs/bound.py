@@ -6,15 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.rig import inverse_binds
-
-__all__ = ["Bound", "bound_of", "names_of_joints"]
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,15 +17,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.rigs.match import RigMap
 from glsplat.rotations import nearest_rotations, rotation_between, rotation_matrices, unit_vectors
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
-
-__all__ = ["Humanoid", "humanoid", "reference_joints", "seated", "t_pose_turns", "upright"]
-
-F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")

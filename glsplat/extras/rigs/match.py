@@ -9,13 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.rigs.words import FINGERS, Word, words_of
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["NEEDED", "RigMap", "match_rig", "spine_of"]
-
-F64 = NDArray[np.float64]
 
 _SIDES = ("left", "right")
 NEEDED = ("head", *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in _SIDES))

@@ -15,8 +15,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.optional import missing, plugin
 from glsplat.scene import Content
 
-__all__ = ["add_formats"]
-
 
 def add_formats(formats: dict[str, Format]) -> None:
     """Let the rows of glTF read and write meshes, too."""

@@ -12,11 +12,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.rigs.match import spine_of
 
-__all__ = ["match_shape"]
-
-F64 = NDArray[np.float64]
 Limb = tuple[int, int, int]
 
 _LONGEST = 24  # joints a limb

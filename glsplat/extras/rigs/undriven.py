@@ -11,8 +11,6 @@ from glsplat.extras.rigs.humanoid import upright
 from glsplat.extras.rigs.match import match_rig
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["why_undriven"]
-
 
 def why_undriven(skeleton: Skeleton) -> str:
     """Return the reason in one line, with the joints that are missing, for a rig that is not SMPL-X's."""

@@ -8,8 +8,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.rigs.match import spine_of
 from glsplat.formats.gltf.schema import Gltf
 
-__all__ = ["face_binds", "human_bones"]
-
 _BONES = {"hips": "pelvis", "neck": "neck", "head": "head", "jaw": "jaw"}
 _LIMBS = {
     "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "ankle", "Toes": "foot", "Shoulder": "collar",

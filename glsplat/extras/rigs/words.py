@@ -12,8 +12,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["FINGERS", "Word", "word_of", "words_of"]
-
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 # part -> what is left of its names without side, number, prefix and blanks; the first that a rig has is the best

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from glsplat.extras.speech.cepstra import Cepstra
 from glsplat.extras.speech.table import table
 
-__all__ = ["Analysis"]
-
 
 class Analysis:
     """Analyses a stream of sound at ``rate`` samples per second, 16 to 384 kHz (else FormatError), in pieces."""

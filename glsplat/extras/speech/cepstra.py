@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.speech.table import Framing
 
-__all__ = ["MIN_RATE_HZ", "Cepstra"]
-
 MIN_RATE_HZ = 16000
 """Lower rates have no sibilants."""
 MAX_RATE_HZ = 384000

@@ -30,8 +30,6 @@ from glsplat.tracking.solve.quat import (
     unit,
 )
 
-__all__ = ["IdleFace"]
-
 GAZE_DISTANCE_M = 1.5  # without a face to look at
 EYE_DISTANCE_M = 0.063
 FIXATION_S, FIXATION_SPREAD = 0.34, 0.5  # median, and standard deviation of its logarithm; 2.3 saccades per second

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.speech.table import table
 
-__all__ = ["Mouth"]
-
 
 class Mouth:
     """One mouth, at rest in silence."""

@@ -20,8 +20,6 @@ import av  # noqa: E402 -- the line above names the pip extra
 if TYPE_CHECKING:
     from av.audio.frame import AudioFrame
 
-__all__ = ["add_sound"]
-
 _BLOCK = 4096  # samples of a frame of FLAC
 
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular
 
-__all__ = ["MAX_BYTES", "MAX_SECONDS", "Sound", "read_wav"]
-
 MAX_BYTES = 512 * 2**20
 MAX_SECONDS = 3600.0
 MAX_VALUES = 1 << 28  # of all channels: an hour of stereo at 37 kHz

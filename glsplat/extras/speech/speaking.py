@@ -11,8 +11,6 @@ from glsplat.extras.speech.mouth import Mouth
 from glsplat.extras.speech.sound import Sound
 from glsplat.extras.speech.table import table
 
-__all__ = ["Speaking"]
-
 _BLOCK_SAMPLES = 1 << 16
 _REST_S = 0.5  # silence in which the mouth comes to rest
 

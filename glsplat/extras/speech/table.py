@@ -12,8 +12,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Framing", "Table", "table"]
-
 
 @dataclass(frozen=True, slots=True)
 class Framing:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
+from glsplat.arrays import F64
 from glsplat.extras.statistics.ranks import TIE
-
-__all__ = ["LEVEL", "RESAMPLES", "interval_of_mean"]
-
-F64 = NDArray[np.float64]
 
 RESAMPLES = 10_000
 LEVEL = 0.95

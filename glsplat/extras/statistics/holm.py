@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["holm"]
-
 
 def holm(p: Sequence[float]) -> list[float]:
     """p values corrected for being several (Holm 1979), in their order."""

@@ -7,12 +7,9 @@ to 0.06 off in 400 samples; trying all signs takes 2^N steps, the sums of ranks 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-__all__ = ["average_ranks", "rank_biserial", "wilcoxon"]
-
-F64 = NDArray[np.float64]
+from glsplat.arrays import F64
 
 TIE = 1e-9
 """Values that lie no farther apart than this share of the largest size are one value: sums round differently."""

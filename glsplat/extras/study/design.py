@@ -14,8 +14,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.study.questionnaires import Questionnaire, questionnaire_of
 from glsplat.extras.study.tables import Table, read_toml
 
-__all__ = ["MAX_PARTICIPANTS", "Condition", "Factor", "Order", "Study", "Task", "read_study"]
-
 MAX_PARTICIPANTS = 999
 """Participant numbers have three digits."""
 

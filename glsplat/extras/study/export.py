@@ -25,8 +25,6 @@ from glsplat.extras.study.steps import Step, steps_of
 from glsplat.extras.study.store import FRAMES, SESSION, Log, folders, lines_of
 from glsplat.io.files import naming, open_regular, replace_file
 
-__all__ = ["BEFORE", "Exported", "export"]
-
 BEFORE = ".before"
 """Suffix of the measures of questionnaires before the first condition."""
 

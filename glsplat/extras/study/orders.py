@@ -13,8 +13,6 @@ import numpy as np
 
 from glsplat.extras.study.design import Study
 
-__all__ = ["cycle", "groups_of", "orders_of", "williams"]
-
 
 def williams(count: int) -> list[list[int]]:
     """Return rows of the numbers 0 to count - 1, balanced for position and predecessor.

@@ -15,8 +15,6 @@ from glsplat.extras.study.design import Study
 from glsplat.extras.study.orders import groups_of, orders_of
 from glsplat.io.files import open_regular
 
-__all__ = ["PLAN", "Plan", "checked_plan", "label", "make_plan", "read_plan", "write_plan"]
-
 PLAN = "plan.json"
 """File name in the data folder."""
 

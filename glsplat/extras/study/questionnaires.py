@@ -16,18 +16,6 @@ from typing import Any, Literal
 from glsplat.errors import FormatError
 from glsplat.extras.study.tables import Table, read_toml
 
-__all__ = [
-    "Answer",
-    "Item",
-    "Questionnaire",
-    "Scale",
-    "Score",
-    "embedded",
-    "is_text",
-    "questionnaire_of",
-    "read_questionnaire",
-]
-
 Answer = float | str
 """A number on a scale, an option of a choice, or free text."""
 

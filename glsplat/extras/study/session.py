@@ -16,8 +16,6 @@ from glsplat.extras.study.design import Study, Task
 from glsplat.extras.study.questionnaires import Answer, is_text
 from glsplat.extras.study.steps import Step
 
-__all__ = ["Event", "Session", "State"]
-
 MAX_NOTE = 10_000  # characters
 
 

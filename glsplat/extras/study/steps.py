@@ -8,8 +8,6 @@ from typing import Literal
 from glsplat.extras.study.design import Study
 from glsplat.extras.study.plan import Plan
 
-__all__ = ["Step", "steps_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class Step:

@@ -23,8 +23,6 @@ from glsplat.extras.study.plan import label
 from glsplat.extras.study.session import Event
 from glsplat.io.files import locked, naming, open_regular
 
-__all__ = ["FRAMES", "SESSION", "TRACKING", "Log", "Store", "folders", "lines_of", "remove"]
-
 SESSION, TRACKING, FRAMES = "session.jsonl", "tracking.jsonl", "frames.jsonl"
 _LOCK = ".lock"
 _KEYS = ("n", "t", "step", "kind", "values", "sum")

@@ -12,8 +12,6 @@ from typing import Any
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
-__all__ = ["NAME", "Table", "read_toml"]
-
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,39}")
 """Names usable as columns, file names and BIDS labels."""
 

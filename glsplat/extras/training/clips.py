@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.extras.learned.frames import OUTPUTS, RATE_HZ, TrackedFrames, in_yaw_frame, unit_of, yaw_of
 from glsplat.extras.motions.derive import truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
-
-__all__ = ["TrainingClip", "clips_of", "looks_away", "mirrored"]
-
-F32 = NDArray[np.float32]
 
 SPEEDS = (1.0, 0.87, 1.15)  # at which every motion is seen
 AWAY = 60.0  # degrees

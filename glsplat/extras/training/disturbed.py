@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from glsplat.extras.learned.frames import TICK_S, TrackedFrames, yaw_of
 from glsplat.rotations import rotation_matrices
 
-__all__ = ["disturbed"]
-
 HEIGHT = 0.02  # standard deviation of what a calibration's scale is off
 PITCH, SEAT = 3.0, 0.01  # degrees, metres: how a headset sits
 GRIP, TILT = 0.012, 5.0  # metres, degrees: a controller in a hand

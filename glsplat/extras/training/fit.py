@@ -9,15 +9,12 @@ from math import cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.extras.learned.frames import INPUTS, OUTPUTS, TrackedFrames, network_inputs, updated_means
 from glsplat.extras.learned.network import PoseNetwork
 from glsplat.extras.training.clips import TrainingClip, targets_of
 from glsplat.extras.training.disturbed import disturbed
 from glsplat.extras.training.recurrent import Learner, started
-
-__all__ = ["Lesson", "TrainingConfig", "evaluate", "features", "fit", "lessons_of", "loss", "shares_of"]
-
-F32 = NDArray[np.float32]
 
 WEIGHTS = np.array((1.0, 1.0, 1.0, 1.3, 1.3, 1.3, 1.3), np.float32)  # of the points
 AHEAD, AXES, CONTACT, SMOOTH = 0.35, 0.25, 0.04, 1.0  # of the other parts of the loss

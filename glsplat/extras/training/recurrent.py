@@ -6,13 +6,10 @@ from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.extras.learned.network import ARRAYS
 
-__all__ = ["Learner", "started"]
-
-F32 = NDArray[np.float32]
 Weights = dict[str, F32]
 
 DROP = 0.1  # of what the layers in front of and behind the memory say that is left out at random

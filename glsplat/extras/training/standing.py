@@ -21,8 +21,6 @@ from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.leg import Leg
 from glsplat.tracking.solve.quat import Quat, Vec, add, inverse_mul, mul, power, rotate
 
-__all__ = ["Stance", "stances_of", "stood"]
-
 Array = NDArray[np.float64]
 
 STILL = 0.12  # m/s of pelvis and feet below which somebody stands

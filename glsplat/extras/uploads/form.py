@@ -16,8 +16,6 @@ from aiohttp import ClientError, web
 from glsplat.extras.uploads.job import VIEWS, Order, UploadConfig
 from glsplat.net.options import NAME
 
-__all__ = ["RateFloor", "RefusedError", "check_head", "discard", "read_order", "split_form"]
-
 clock: Callable[[], float] = time.monotonic
 
 _FIELDS = ("height", "anyway", "consent", "name")

@@ -11,20 +11,6 @@ from typing import Any, Literal
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
-__all__ = [
-    "MAX_LINE",
-    "VIEWS",
-    "Finding",
-    "Job",
-    "LowConfidenceError",
-    "Make",
-    "Order",
-    "Progress",
-    "UploadConfig",
-    "bounded",
-    "notes_of",
-]
-
 VIEWS = ("front", "back", "left", "right")
 """Sides of a person that pictures may show; the first is required."""
 

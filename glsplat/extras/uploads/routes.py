@@ -25,8 +25,6 @@ from glsplat.net.rights import user_of
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Uploads"]
-
 _NO_AVATAR = "there is no such avatar of yours\n"
 MAX_EXTRA_BYTES = 2**20  # of a body beside its pictures: fields, boundaries, discarded data
 

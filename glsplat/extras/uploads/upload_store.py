@@ -14,8 +14,6 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats import load_content
 from glsplat.io.files import replace_file
 
-__all__ = ["SUFFIX", "NoRoomError", "UploadStore"]
-
 SUFFIX = ".glb"
 _LETTERS = "abcdefghijkmnpqrstuvwxyz23456789"  # without letters that look alike
 _OWN_NAME = re.compile(f"photo-[{_LETTERS}]{{8}}")

@@ -36,8 +36,6 @@ from glsplat.extras.uploads.job import (
 )
 from glsplat.formats import save
 
-__all__ = ["Maker", "MakerFaultError", "UploadCancelledError"]
-
 MAX_MESSAGE_BYTES = 1 << 19  # bounded findings, each character escaped to at most twelve bytes
 PROGRESS_INTERVAL_S = 0.1  # between two messages about the same step
 _CANCELLED, _TIMED_OUT = "cancelled", "timed out"

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHECK_BITS", "CODE_BITS", "Payload", "decode", "encode"]
-
 _GENERATORS = (0o765, 0o671, 0o513, 0o473)
 _MEMORY = 8  # bits of the encoder's state
 _STATES = 1 << _MEMORY

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, optimize
 
+from glsplat.arrays import F32
 from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.code import CHECK_BITS, Payload, decode
 from glsplat.extras.watermark.pattern import BAND, TILE, Pattern, pattern_of
@@ -47,7 +48,6 @@ _BLUR_PX = 1.5  # standard deviation of the neighbourhood of the local variance
 _NOISE_FLOOR = 1.2  # levels; least noise assumed
 _MAX_WEIGHT = 2.0  # times the typical magnitude, so that no single bin dominates
 
-F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
 
 

@@ -9,8 +9,6 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.mark import KEY_BYTES, WatermarkKey
 from glsplat.io.secret_files import warn_if_exposed
 
-__all__ = ["new_watermark", "read_watermark", "text_of"]
-
 _NEW_KEY_BYTES = 32
 MAX_FILE_BYTES = 4096
 

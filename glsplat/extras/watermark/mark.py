@@ -14,8 +14,6 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.code import Payload, encode
 from glsplat.extras.watermark.pattern import TILE, pattern_of
 
-__all__ = ["KEY_BYTES", "LEVELS", "LUMA", "Watermark", "WatermarkKey", "marked"]
-
 KEY_BYTES = 16
 """Least length of a key."""
 

@@ -14,9 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.extras.watermark.code import CODE_BITS
-
-__all__ = ["BAND", "TILE", "Pattern", "pattern_of"]
 
 TILE = 64
 """Pixels per side: eight JPEG blocks, and a power of two, which divides usual picture sizes."""
@@ -26,7 +25,6 @@ BAND = (5.0, 18.0)
 
 _SYNC_SHARE = 0.25  # of the bins, to locate the tile
 
-F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
 Index = NDArray[np.intp]
 

@@ -9,8 +9,6 @@ from glsplat.extras.watermark.mark import WatermarkKey
 from glsplat.io.files import replace_file
 from glsplat.net.guard.state_dir import lock_of
 
-__all__ = ["WATERMARK", "kept_watermark"]
-
 WATERMARK = "watermark"
 """The file's name in the folder."""
 

@@ -30,8 +30,6 @@ from glsplat.net.worker.wire import WorkerLostError, greet
 from glsplat.net.worker.work import GREETING_S, greet_server, work
 from glsplat.optional import require_package
 
-__all__ = ["RayCluster", "RayLauncher", "require_ray"]
-
 Address = tuple[str, int]
 
 _HOST = re.compile(r"[\w.-]+:\d+")  # HOST:PORT of a Ray head

@@ -10,8 +10,6 @@ from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.backend import Backend
 from glsplat.net.worker.process import ProcessLauncher
 
-__all__ = ["Workers"]
-
 _HEADLESS_S = 120.0  # that a gateway without workers waits for Ray to come back
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["PlacedClient", "PlacedWorker", "better", "choose"]
-
 QUICK = 1 / 90
 """Seconds; a worker with a smaller load is fast enough."""
 

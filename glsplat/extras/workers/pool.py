@@ -23,8 +23,6 @@ from glsplat.net.render_loop import RenderLoop
 from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.remote import RemoteWorker, WorkerLauncher
 
-__all__ = ["WorkerPool"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _MAX_ATTEMPTS = 3  # to start each worker, while none is alive, before the pool may give up

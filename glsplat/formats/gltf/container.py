@@ -25,8 +25,6 @@ from glsplat.formats.gltf.schema import Accessor, BufferView, Gltf, Packed, Spar
 from glsplat.io.files import left_out, open_regular, sampled
 from glsplat.optional import missing, plugin
 
-__all__ = ["Blob", "Container", "chunks", "glb_length", "item", "parse", "read_container"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 T = TypeVar("T")

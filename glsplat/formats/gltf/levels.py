@@ -27,8 +27,6 @@ from glsplat.formats.transform import transformed
 from glsplat.io.files import left_out
 from glsplat.splats import Level, Splats
 
-__all__ = ["LOD", "MAX_LEVELS", "finest_of", "read_levels", "write_levels"]
-
 LOD = "MSFT_lod"
 MAX_LEVELS = 16  # coarser levels that are read of a file
 

@@ -25,8 +25,6 @@ from glsplat.meshes import Morphs
 from glsplat.skinning.expression import MOST_NAMES, arkit_name
 from glsplat.skinning.shapes import BEND, LIMITS, Shapes
 
-__all__ = ["QUANTIZATION", "SHORT", "Morphs", "read_morphs", "shape_names", "shapes_of", "write_shapes"]
-
 QUANTIZATION = "KHR_mesh_quantization"
 """Extension that allows normalised integers as offsets."""
 

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import item
 from glsplat.formats.gltf.schema import Gltf, Node, Primitive
 from glsplat.rotations import quaternion_matrices
-
-__all__ = ["Graph", "Instance", "graph_of", "instances", "only_moves"]
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,6 @@ from glsplat.formats.gltf.schema import Accessor, Asset, Buffer, BufferView, Glt
 from glsplat.io.files import Source, left_out, naming, replace_file, suffix_of
 from glsplat.optional import plugin
 
-__all__ = ["CONSENT", "INDICES", "UNLIT", "VERTICES", "Output", "unlit_material"]
-
 VERTICES, INDICES = 34962, 34963
 """Targets of bufferViews: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER."""
 

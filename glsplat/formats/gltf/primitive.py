@@ -23,20 +23,6 @@ from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.optional import missing, plugin
 from glsplat.splats import SH_C0, Splats, normalised
 
-__all__ = [
-    "ANTIALIAS",
-    "COLOUR",
-    "EXTENSION",
-    "SPZ_EXTENSION",
-    "colour_note",
-    "narrow_quats",
-    "number_of",
-    "our_extras",
-    "packed_view",
-    "read_splats",
-    "write_splats",
-]
-
 EXTENSION = "KHR_gaussian_splatting"
 SPZ_EXTENSION = "KHR_gaussian_splatting_compression_spz_2"
 """Extension of splats that are stored as an SPZ."""

@@ -18,21 +18,6 @@ from glsplat.formats.gltf.schema import Skin as SkinObject
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 
-__all__ = [
-    "MAX_JOINTS",
-    "SKIN_WEIGHTS",
-    "Influences",
-    "inverse_binds",
-    "joint_names",
-    "joint_parents",
-    "read_influences",
-    "read_skeleton",
-    "read_skin",
-    "weights_note",
-    "write_influences",
-    "write_skeleton",
-]
-
 SKIN_WEIGHTS = "skin_weights"
 """In our extras: Skin.lost and Skin.repaired."""
 

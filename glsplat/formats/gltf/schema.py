@@ -6,9 +6,6 @@ from typing import Annotated, Any
 
 import msgspec
 
-__all__ = ["Accessor", "Asset", "Buffer", "BufferView", "Gltf", "Index", "Mesh", "Node", "Packed", "Primitive", "Scene"]
-__all__ += ["Skin", "Sparse"]
-
 Index = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Vec3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 Vec4 = Annotated[list[float], msgspec.Meta(min_length=4, max_length=4)]

@@ -45,8 +45,6 @@ from glsplat.light.surface import Surface
 from glsplat.optional import plugin
 from glsplat.splats import Splats
 
-__all__ = ["EXTENSION", "GLB", "GLTF", "add_formats", "has_splats", "read_gltf", "save_gltf", "splats_in"]
-
 _VERSION = 1  # of asset.extras.glsplat
 # POSITION may be stored as integers by KHR_mesh_quantization, a material means nothing to splats, levels of detail are
 # more of the same; other extensions that change the data are refused

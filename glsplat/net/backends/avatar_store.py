@@ -11,8 +11,6 @@ from glsplat.errors import FormatError
 from glsplat.formats import load_content
 from glsplat.scene import Rigged
 
-__all__ = ["AvatarStore", "LazyAvatars"]
-
 
 class AvatarStore(Mapping[str, Rigged]):
     """``given`` avatars by name, then NAME.glb in ``folder``, read each time; never the name of the ``scene``.

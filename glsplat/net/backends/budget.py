@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from glsplat.renderer.checks import Images
     from glsplat.renderer.read_back import Transfer
 
-__all__ = ["PictureBudget", "others_share"]
-
 _FULL_SHARE_PIXELS = 2 * 2048 * 2048  # of a picture whose full cost others may use; in proportion for smaller ones
 _ONE_PERSON = 0.5  # limit for one person, as a share of the limit for all others
 _MIN_SPLAT_PIXELS = 64  # covered pixels of each splat and view that are granted in any picture: four blocks

@@ -16,8 +16,6 @@ from glsplat.renderer import Renderer
 from glsplat.renderer.levels import Selector
 from glsplat.skinning.pose import Pose
 
-__all__ = ["depth_grids"]
-
 _MIN_ALPHA = 0.1  # of a point that has a depth: the depth of a partly covered pixel is better than an interpolated one
 
 

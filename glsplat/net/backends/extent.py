@@ -17,8 +17,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Extent", "FigureBounds"]
-
 _DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # [27, 3]; the middle one is no direction
 _STEPS = np.array([9, 3, 1])  # of a direction's index in that list, by the sign of x, y, z
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])

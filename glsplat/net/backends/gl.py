@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from glsplat.formats.scene_file import SceneFile
     from glsplat.net.codec.depth import DepthGrid
 
-__all__ = ["MAX_COST", "MAX_PICTURE_S", "RendererBackend", "max_cost_of"]
-
 MAX_COST = 1e9
 """Covered pixels of a picture (renderer.Prepared.cost): eight times the cost of a person who fills two eyes of 2048^2,
 and over twice that of a face in front of the eyes (docs/protocol.md, section 5)."""

@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.renderer.stats import Box, union
-
-__all__ = ["write_notice"]
 
 _MIN_LINE_PX = 12.0  # of a line
 _LINE_SHARE = 0.03  # of the picture's height, a line
@@ -31,8 +30,6 @@ _ROW_PX, _FONT_PX, _WEIGHT = 40, 29, 500  # pixels of a line and of its letters 
 _MARGIN_PX = 8
 _MAX_WIDTH_PX = 8192
 _BOARD_ALPHA, _INK_GREY = 0.6, 240  # alpha of the board, grey of the letters
-
-F64 = NDArray[np.float64]
 
 
 def write_notice(images: NDArray[np.uint8], cameras: Sequence[Camera], text: str) -> Box:

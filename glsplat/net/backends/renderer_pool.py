@@ -18,8 +18,6 @@ from glsplat.renderer import Renderer
 from glsplat.renderer.lru_cache import LruCache
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 
-__all__ = ["MAX_RENDERERS", "RendererPool"]
-
 MAX_RENDERERS = 4
 """Renderers of the scene and of avatars; those of rooms are added."""
 

@@ -25,8 +25,6 @@ from glsplat.scene import Item, Rigged, Scene, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["SceneRenderer"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _PLACE_SIGMAS = 2.0  # standard deviations of a splat that count for the box of an avatar

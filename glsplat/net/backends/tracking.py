@@ -13,15 +13,14 @@ import numpy as np
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import Solved
-from glsplat.net.messages import Arrival, Request
+from glsplat.net.messages import Request
+from glsplat.net.wire_schema import Arrival
 from glsplat.optional import missing, plugin
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
-
-__all__ = ["HORIZON_SHARE", "MAX_HORIZON_S", "PredictionHorizon", "TimestampMerger", "TrackingSolver"]
 
 HORIZON_SHARE, MAX_HORIZON_S = 0.8, 0.036
 """Prediction horizon as a share of the pictures' age, and its limit: a longer one amplifies noise visibly."""

@@ -18,14 +18,13 @@ from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client.connection import ClientConnection, VideoReader
 from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected, offered_avatars
 from glsplat.net.client.request import encoder, request_message
-from glsplat.net.flow import FlowControl, ReceivedReply
+from glsplat.net.flow import FlowControl
+from glsplat.net.flow import ReceivedReply as ReceivedReply  # exported by the package
 from glsplat.net.messages import MAX_MESSAGE_BYTES
 from glsplat.net.reply import Reply
 from glsplat.net.wire_schema import PictureParams, Want
 from glsplat.optional import missing, plugin
 from glsplat.skinning.pose import Pose
-
-__all__ = ["Client", "ReceivedReply"]
 
 _MAX_REPLY_BYTES = 64 * 1024 * 1024
 

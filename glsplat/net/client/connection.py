@@ -22,8 +22,6 @@ from glsplat.errors import ProtocolError
 from glsplat.net.flow import FlowControl, ReceivedReply, server_error
 from glsplat.net.reply import Reply, parse_reply
 
-__all__ = ["ClientConnection", "VideoReader"]
-
 
 class VideoReader(Protocol):
     """Decodes the video of one connection (extras/far_links)."""

@@ -13,8 +13,6 @@ import aiohttp
 
 from glsplat.errors import GlsplatError, ProtocolError
 
-__all__ = ["check_token", "checked_url", "client_tls", "not_connected", "offered_avatars"]
-
 
 def checked_url(url: str) -> str:
     """Return the address with the path of the WebSocket. Raises GlsplatError for an invalid one."""

@@ -15,8 +15,6 @@ from glsplat.net.wire_schema import PictureParams, Want
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["encoder", "request_message"]
-
 
 def request_message(
     frame_id: int,

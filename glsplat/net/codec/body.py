@@ -14,28 +14,13 @@ from math import isfinite, nan
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import PoseError, ProtocolError
 from glsplat.rotations import quaternion_of, quaternion_vectors, vector_quaternions
 from glsplat.scene import similarity
 from glsplat.skinning.expression import ARKIT
 from glsplat.skinning.pose import Pose
-
-__all__ = [
-    "AT_ORIGIN",
-    "MAX_BODIES",
-    "PersonPose",
-    "Placement",
-    "PoseHistory",
-    "Poses",
-    "for_recipient",
-    "pack_body",
-    "placement_of",
-    "unpack_bodies",
-]
-
-F64 = NDArray[np.float64]
 
 MAX_BODIES = 255  # of one reply
 YOU, EXPRESSION, TRANSLATIONS = 1, 2, 4

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GRID_SIDE", "DepthGrid", "grid_of", "read_grids"]
-
 GRID_SIDE = 32
 """Columns and rows of a server's grids (docs/vr.md compares other sizes)."""
 

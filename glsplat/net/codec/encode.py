@@ -16,8 +16,6 @@ from glsplat.net.codec.encoded import Box, Encoded
 from glsplat.net.codec.partial import encode_covered
 from glsplat.net.codec.straight import straightened
 
-__all__ = ["Encoder", "covered_box", "encode_picture"]
-
 _BLOCK = 16  # pixels of a 4:2:0 block: boxes on its grid get no colour from outside
 _ALPHA_QUALITY_BONUS = (
     10  # steps of quality by which an alpha that cuts straight colours is better: all of the edge is in it

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Box", "Encoded"]
-
 Box = tuple[int, int, int, int]
 """x, y, width, height in pixels."""
 

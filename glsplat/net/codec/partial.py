@@ -14,8 +14,6 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-__all__ = ["encode_covered"]
-
 _BLOCK = 16  # pixels of a 4:2:0 block (minimum coded unit)
 _MAX_COVERED_SHARE = 0.8  # of the picture's blocks: above it the codec is faster with the whole picture
 _CALL_BLOCKS = 15  # blocks that the codec encodes in the time that one more call takes

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["straightened"]
-
 _BLOCK = 16  # pixels of a 4:2:0 block of chroma; luma blocks are quarters of it
 _AREA = _BLOCK * _BLOCK
 _OPAQUE_FROM = 32  # alpha from which a pixel's own colour counts fully: below it has few bits

@@ -25,8 +25,6 @@ from glsplat.net.guard.forwarded import Network
 if TYPE_CHECKING:
     from glsplat.net.rights import Accounts
 
-__all__ = ["SUBPROTOCOL", "Access", "certificate_names", "is_loopback", "read_token", "server_tls"]
-
 SUBPROTOCOL = "glsplat.v1"
 TOKEN_PREFIX = "token."  # browsers cannot set headers on a WebSocket: they offer "glsplat.v1" and "token.SECRET"
 _LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")

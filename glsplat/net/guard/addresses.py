@@ -6,8 +6,6 @@ from collections import OrderedDict
 
 from glsplat.net.guard.limits import Bucket, ClientQuota, Limits, Strikes
 
-__all__ = ["Addresses"]
-
 
 class _Address:
     """One address. Its quotas outlive its connections, so that reconnecting brings no fresh budget."""

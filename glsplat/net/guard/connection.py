@@ -16,8 +16,6 @@ from glsplat.net.guard.limits import Limits
 from glsplat.net.guard.meter import Breach, FrameMeter
 from glsplat.net.guard.notices import Notices
 
-__all__ = ["GuardedConnection"]
-
 
 class _MeteredReader:
     """aiohttp's WebSocket parser behind a meter. After a breach nothing more is read."""

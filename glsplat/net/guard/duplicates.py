@@ -7,8 +7,6 @@ from typing import Any
 
 import msgspec
 
-__all__ = ["has_duplicates"]
-
 
 class _DuplicateError(Exception):
     pass

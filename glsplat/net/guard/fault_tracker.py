@@ -6,8 +6,6 @@ from collections import OrderedDict
 
 from glsplat.net.guard.limits import Strikes
 
-__all__ = ["FaultTracker"]
-
 _FORGET_S = 600.0
 _MAX_ADDRESSES = 4096
 _SUSPECT_S, _MAX_SUSPECT_S = 10.0, 300.0  # for which others are suspected, after the first fault and at most

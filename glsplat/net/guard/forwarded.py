@@ -12,8 +12,6 @@ from glsplat.errors import GlsplatError
 if TYPE_CHECKING:
     from multidict import CIMultiDictProxy
 
-__all__ = ["FORWARDED", "MAX_CHARACTERS", "Network", "TrustedProxies", "proxy_network"]
-
 Address: TypeAlias = ipaddress.IPv4Address | ipaddress.IPv6Address
 Network: TypeAlias = ipaddress.IPv4Network | ipaddress.IPv6Network
 

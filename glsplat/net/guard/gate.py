@@ -27,8 +27,6 @@ from glsplat.net.rights import USER, Rights
 if TYPE_CHECKING:
     from glsplat.net.rights import Accounts
 
-__all__ = ["Gate", "connection_of"]
-
 _MAX_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
 _CONTINUE = "100-continue"
 

@@ -8,8 +8,6 @@ import struct
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["machine_addresses", "machine_names", "reachable_at"]
-
 # documentation addresses: connecting a datagram socket only looks up the route, nothing is sent
 _REMOTE = {socket.AF_INET: "198.51.100.1", socket.AF_INET6: "2001:db8::1"}
 _SIOCGIFADDR = 0x8915  # Linux

@@ -10,8 +10,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-__all__ = ["Bucket", "ClientQuota", "CpuBudget", "CpuShare", "Limits", "MessageThrottle", "Strikes", "address_key"]
-
 _BUDGET_S = 1.0  # of its rate that a budget holds
 _SHORT_MESSAGE = 64  # characters; read at once: an acknowledgement, which costs next to nothing
 

@@ -20,8 +20,6 @@ from glsplat.net.guard.forwarded import TrustedProxies
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
 
-__all__ = ["Listener", "bind"]
-
 _BACKLOG = 64
 _PAUSE_S = 1.0  # without accepting when no descriptor is left and none can be freed
 _RESERVED = 12  # descriptors for the server itself: a restarted renderer, files, wake-ups

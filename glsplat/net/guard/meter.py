@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from glsplat.net.guard.limits import ClientQuota, Limits
 
-__all__ = ["POLICY_VIOLATION", "Breach", "FrameMeter"]
-
 PROTOCOL_ERROR = 1002  # RFC 6455, section 7.4.1
 POLICY_VIOLATION = 1008
 

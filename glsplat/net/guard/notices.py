@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-__all__ = ["Notices"]
-
 INTERVAL_S = 60.0  # between lines of one kind
 
 log: logging.Logger = logging.getLogger("glsplat.net")

@@ -12,8 +12,6 @@ from glsplat.errors import GlsplatError
 from glsplat.io.files import locked, replace_file
 from glsplat.net.guard.access import read_token
 
-__all__ = ["TOKEN", "kept_token", "lock_of", "state_folder"]
-
 TOKEN = "token"  # name of its file
 _TOKEN_BYTES = 18  # 144 random bits: 24 characters
 _LOCK_TIMEOUT_S = 10.0  # a process holds it for some milliseconds, to make a key

@@ -17,8 +17,6 @@ import numpy as np
 from glsplat.camera import Camera
 from glsplat.net.pace.ladder import SCALES, Rung
 
-__all__ = ["FULL", "AdaptiveQuality", "Detail"]
-
 BIAS = 0.5
 """Halvings of the splats' density for each step of the level of detail."""
 

@@ -14,8 +14,6 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-__all__ = ["FairQueue"]
-
 K = TypeVar("K", bound=Hashable)
 
 _LONG_RATIO = 4.0  # of a long picture's time to the shortest client's

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-__all__ = ["MIN_FPS", "SIDES_PX", "Fitted", "fit"]
-
 MIN_FPS = 15.0  # of pairs of pictures, for one client
 SIDES_PX = (1024, 768, 512)  # of square pictures, the largest first
 _WARM_UP = 1  # pictures that fill caches and are not timed

@@ -12,18 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import exp, log
 
-__all__ = [
-    "CROPPED_SHARE",
-    "MAX_SMOOTH_LPIPS",
-    "REDUCED_FPS",
-    "SCALES",
-    "STEPS",
-    "Rung",
-    "Step",
-    "ladder",
-    "visible_loss",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Step:

@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-__all__ = ["StageTimes", "median_p95"]
-
 
 def median_p95(values: Iterable[float]) -> tuple[float, float]:
     """Return median and 95th percentile; zeros for no values."""

@@ -12,8 +12,6 @@ from glsplat.net.feature import Feature, ServerView
 from glsplat.net.pages.site import File, Site, page_files
 from glsplat.net.rights import user_of
 
-__all__ = ["Pages", "set_headers"]
-
 _HEADERS = {"X-Content-Type-Options": "nosniff", "Server": "glsplat"}
 _DEFAULT_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'",

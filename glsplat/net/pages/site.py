@@ -17,8 +17,6 @@ from aiohttp import web
 
 from glsplat.optional import plugin
 
-__all__ = ["STATIC_IMPORT", "File", "Site", "page_files", "page_folders", "read_folder"]
-
 _TYPES = {
     "html": "text/html",
     "css": "text/css",

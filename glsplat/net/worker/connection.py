@@ -29,8 +29,6 @@ from glsplat.net.worker.wire import (
     read_result,
 )
 
-__all__ = ["HANG_S", "WorkerConnection"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 clock: Callable[[], float] = time.perf_counter
 

@@ -17,8 +17,6 @@ from glsplat.net.codec.encoded import Encoded
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.optional import extra_module, missing, plugin
 
-__all__ = ["ClientVideo", "PictureEncoder", "VideoStream"]
-
 _VIDEO_THREADS = max(1, cores() // 2)
 MAX_VIDEO_PICTURES = _VIDEO_THREADS + 1  # of all videos, queued or being encoded: each holds memory for drawing
 

@@ -26,8 +26,6 @@ from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import WorkerLostError, greet
 from glsplat.net.worker.work import work_in_process
 
-__all__ = ["ProcessLauncher", "process_worker"]
-
 _EXIT_S = 0.5  # from the end of a worker's connection until its exit code is known
 _IMPORT_S = 60.0  # for a new process to import its modules and answer
 _SENT_SIGNALS = (

@@ -17,8 +17,6 @@ from glsplat.net.worker.connection import WorkerConnection
 from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import MAX_ANSWER_BYTES, Order, WorkerLostError
 
-__all__ = ["RemoteWorker", "WorkerLauncher"]
-
 _OPEN_S = 60.0  # to make a context and load a scene
 _CLOSE_S = 5.0  # to end in order ...
 _GRACE_S = 0.5  # ... and in the middle of a picture

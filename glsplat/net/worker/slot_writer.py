@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from glsplat.net.backend import Rendered
 
-__all__ = ["SLOTS", "SlotWriter", "mapped", "slot_writers"]
-
 SLOTS = 4  # one picture is begun while the GPU draws the one before, and two are encoded
 
 

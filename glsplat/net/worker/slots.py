@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from glsplat.errors import ContextError, GlsplatError
 from glsplat.net.worker.slot_writer import SLOTS, mapped
 
-__all__ = ["SHM", "Slot", "Slots"]
-
 SHM = "/dev/shm"
 _INITIAL_BYTES = 2 * 1024 * 1024 * 4  # bytes of a slot that are allocated at the start: a pair of 1024x1024
 

@@ -12,8 +12,6 @@ from typing import TypeVar
 
 from glsplat.net.backend import POLL_S, Backend, Rendered, RenderJob, begin
 
-__all__ = ["ThreadWorker"]
-
 R = TypeVar("R")
 log: logging.Logger = logging.getLogger("glsplat.net")
 

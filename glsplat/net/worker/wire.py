@@ -28,26 +28,6 @@ from glsplat.net.backend import RenderJob
 from glsplat.net.codec.depth import DepthGrid
 from glsplat.net.codec.encoded import Box, Encoded
 
-__all__ = [
-    "HEAD",
-    "MAX_ANSWER_BYTES",
-    "Failed",
-    "Kind",
-    "Order",
-    "Reader",
-    "RenderResult",
-    "WorkerLostError",
-    "Writer",
-    "error_of",
-    "failure_of",
-    "greet",
-    "pack",
-    "read_encoded",
-    "read_failed",
-    "read_result",
-    "receive",
-]
-
 MAX_ANSWER_BYTES = 2 * 8192**2 * 4  # of a worker's message: two eyes of the largest --max-size as pixels
 _MAX_ORDER_BYTES = 2**24  # of a server's message, which has up to 64 KiB for each person of a room
 _MAGIC = b"glsplat worker 4"

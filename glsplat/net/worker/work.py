@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from glsplat.net.codec.encoded import Encoded
     from glsplat.net.worker.encoding import PictureEncoder
 
-__all__ = ["GREETING_S", "greet_server", "work", "work_in_process"]
-
 GREETING_S = 10.0  # limit of the handshake
 
 

@@ -7,8 +7,6 @@ from typing import Protocol, runtime_checkable
 
 from glsplat.net.backend import Rendered, RenderJob
 
-__all__ = ["Worker"]
-
 
 @runtime_checkable
 class Worker(Protocol):

@@ -15,8 +15,6 @@ from glsplat.tracking.solve.quat import Quat, Vec, about, add, clamp, conj, dist
 from glsplat.tracking.solve.solution import Targets
 from glsplat.tracking.solve.spine import Torso
 
-__all__ = ["Arm", "ArmPose", "Arms"]
-
 ELBOW_FLEXION_DEG = 148.0  # CDC normal joint range of motion study: 144-150
 MAX_MISS_M = 0.005  # of the wrist, before the elbow swings to reach further
 SEARCH_RATE = 6.0  # rad/s of that swing

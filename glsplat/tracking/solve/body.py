@@ -12,8 +12,6 @@ from glsplat.skinning.driven import why_not_tracked
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.quat import Quat, Vec, from_axes, rotate, unit
 
-__all__ = ["HAND_FRAMES", "HEAD_FRAME", "Body", "levelled"]
-
 HEAD_FRAME: Quat = (0.0, 0.0, 1.0, 0.0)
 """OpenXR head axes (-z forward) in the head joint's rest frame (+z forward): half a turn about y."""
 

@@ -7,8 +7,6 @@ from math import hypot
 
 from glsplat.tracking.solve.quat import Vec, clamp, wrap
 
-__all__ = ["HOLD", "MAX_FOOT_SPEED", "Axis", "Foot"]
-
 HOLD = 0.06  # part of a swing, at either end, in which the foot goes straight up or down, so that it never slides
 RISE, SINK = 0.28, 0.28  # parts of a swing in which the foot goes up, and down
 MAX_RISE_S = 0.12  # likewise, and to sink: it must not slide

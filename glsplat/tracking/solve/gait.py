@@ -7,8 +7,6 @@ from math import atan2, cos, exp, hypot, pi, sin, sqrt
 from glsplat.tracking.solve.leg import REFERENCE_LEG_M
 from glsplat.tracking.solve.quat import Vec, clamp
 
-__all__ = ["Gait"]
-
 TURN = 2 * pi
 START_SPEED, STOP_SPEED = 0.40, 0.25  # m/s (of a 1.7 m person): walking begins and ends
 START_AWAY_M, STOP_AWAY_M = 0.4, 0.2  # from where the body was lately (about 0.8 s ago): likewise

@@ -6,8 +6,6 @@ from math import atan2, exp, hypot, pi
 
 from glsplat.tracking.solve.quat import Quat, Vec, clamp, rotate, swing_twist_y, wrap
 
-__all__ = ["Heading"]
-
 COMFORT_RAD = 0.4  # that a head turns without the body following soon
 MAX_BEHIND_RAD = 1.1  # of the body behind the head (cervical + thoracic rotation, AAOS: 60 + 45 degrees)
 MAX_TRACKED_BEHIND_RAD = 1.5  # likewise, of a body whose pelvis is tracked

@@ -8,8 +8,6 @@ from math import exp
 from glsplat.tracking.solve.quat import JointPose, Vec
 from glsplat.tracking.solve.solution import Solution, Targets
 
-__all__ = ["HeightLimit"]
-
 MAX_JUMP_S = 0.7  # a head out of reach for longer is not a jump (0.7 s in the air is a leap of 0.6 m)
 MIN_EYES = 0.04  # of the eye height: a head on the floor
 SINK_SMOOTHING_S = 0.25  # of sinking, and of the ground under a user who climbs

@@ -10,8 +10,6 @@ from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.limb import Limb, two_bone
 from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, conj, distance, length, mul, pull, rotate, sub, unit
 
-__all__ = ["REFERENCE_LEG_M", "SOFT", "TIPTOE_RAD", "Leg", "LegPose"]
-
 LegPose = tuple[Quat, Quat, Quat]
 """World rotation of the thigh, local rotation of the knee, world rotation of the foot."""
 

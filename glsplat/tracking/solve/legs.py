@@ -12,8 +12,6 @@ from glsplat.tracking.solve.leg import REFERENCE_LEG_M, SOFT, TIPTOE_RAD, Leg, L
 from glsplat.tracking.solve.quat import JointPose, Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
 from glsplat.tracking.solve.tracked import AFLOAT_M, TrackedFoot
 
-__all__ = ["USEFUL_STEP_M", "USEFUL_TURN_RAD", "Legs", "TwoLegs"]
-
 # lengths and speeds are those of a 1.7 m person
 TAKE_OFF_M = 0.02  # below and above the reach of the tiptoes, over which a jump begins
 USEFUL_STEP_M, USEFUL_TURN_RAD = 0.06, 0.25  # smaller steps and turns do not help a strained leg

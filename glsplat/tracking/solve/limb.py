@@ -20,8 +20,6 @@ from glsplat.tracking.solve.quat import (
     unit,
 )
 
-__all__ = ["Limb", "perpendicular", "two_bone"]
-
 
 @dataclass(frozen=True, slots=True)
 class Limb:

@@ -40,8 +40,6 @@ from glsplat.tracking.solve.body import (
 )
 from glsplat.tracking.solve.quat import Quat, clamp, conj, mul, rotation_vector, to_quat
 
-__all__ = ["BOXES", "FINGER_HIGH", "FINGER_LOW", "clamp_box", "clamp_joint", "violation"]
-
 Box = tuple[float, float, float, float, float, float]
 
 

@@ -7,8 +7,6 @@ from typing import Protocol
 
 from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec
 
-__all__ = ["Solution", "Solver", "Targets"]
-
 
 @dataclass(slots=True)
 class Targets:

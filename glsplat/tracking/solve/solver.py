@@ -31,8 +31,6 @@ from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.spine import SPINES, Spine, Torso
 from glsplat.tracking.solve.tracked import TrackedPelvis
 
-__all__ = ["AnalyticSolver", "assembled"]
-
 CHEST_TWIST = 0.2  # of the yaw that both hands suggest, by which the chest turns further than the pelvis
 SLOW_SMOOTHING_S = 0.125  # of the speed that tells walking from swaying; twice that scores worse (docs/tracking.md)
 BASE_SMOOTHING_S, TRAVEL_SMOOTHING_S = 0.04, 0.12  # of the velocity of the body's mass, over a step

@@ -11,8 +11,6 @@ from glsplat.tracking.solve.heading import head_pitch, head_roll
 from glsplat.tracking.solve.limits import BOXES
 from glsplat.tracking.solve.quat import Quat, Vec, clamp, mul, rotate, sub, to_quat, wrap, yaw_quat
 
-__all__ = ["SPINES", "Spine", "Torso"]
-
 SPINES = (SPINE1, SPINE2, SPINE3)
 
 # neck and head together, radians: flexion, extension, side, rotation (AAOS 45/45/45/60 for the neck; the joint between

@@ -10,8 +10,6 @@ from glsplat.tracking.solve.leg import REFERENCE_LEG_M, Leg, LegPose
 from glsplat.tracking.solve.quat import IDENTITY, JointPose, Quat, Vec, add, clamp, length, mul, pull, rotate, sub
 from glsplat.tracking.solve.spine import Spine, Torso
 
-__all__ = ["AFLOAT_M", "TrackedFoot", "TrackedPelvis", "TrackedWeight"]
-
 FOUND_S, LOST_S = 0.25, 0.3  # in which a joint that is found or lost is taken up and given up
 HEADING_RATE = 30.0  # 1/s: how fast the heading is taken up at half the weight
 MAX_TILT_RAD = (1.1, 0.5, 0.6)  # from the guessed pelvis to a tracked one, about x, y, z

@@ -36,10 +36,11 @@ from glsplat.extras.training.recurrent import Learner, started
 from glsplat.extras.training.standing import TALL, stances_of, stood
 from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.solve.body import ANKLES, FEET, PELVIS, SPINE1, SPINE3, WRISTS, Body
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.tracking.tracker import Tracker
 
 F32 = NDArray[np.float32]
 

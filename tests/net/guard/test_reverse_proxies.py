@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 
-from apps.serve.command import add_arguments, parsed, server_config
+from apps.serve.command import add_arguments, server_config
+from apps.serve.options import parsed
 from apps.usage import CommandParser
 from glsplat.extras.operations.certificate import CERTIFICATE, kept_certificate
 from glsplat.net.client import Client

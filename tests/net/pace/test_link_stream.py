@@ -12,11 +12,12 @@ from glsplat.errors import ProtocolError
 from glsplat.extras.far_links.link_control import LinkControl
 from glsplat.net.client import Client
 from glsplat.net.guard.limits import Limits
-from glsplat.net.messages import Ack, Arrival, Decoder, Request
+from glsplat.net.messages import Ack, Decoder, Request
 from glsplat.net.pace.ladder import ladder
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import ServerConfig
 from glsplat.net.session import Session, SessionConfig, Warn
+from glsplat.net.wire_schema import Arrival
 from tests.net.wire import EYE, HANG
 
 

@@ -22,8 +22,6 @@ from glsplat.net.messages import Request
 from glsplat.net.reply import pack_poses
 from glsplat.skinning.pose import Pose
 
-__all__ = ["NO_POSE", "PoseResponder"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 NO_POSE = "no_pose"

@@ -20,8 +20,6 @@ from glsplat.net.rights import user_of
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["SplatFiles"]
-
 log: logging.Logger = logging.getLogger("glsplat.net")
 
 _MOST_JOINTS = 2000  # of a body on the wire, which has at most 65,535 bytes

@@ -7,9 +7,6 @@ from typing import Literal
 
 import msgspec
 
-__all__ = ["HEAD", "MAGIC", "MOST_ENTRIES", "MOST_HEADER", "MOST_JOINTS", "MOST_SPLATS", "VERSION", "Header", "Joints"]
-__all__ += ["Part", "Targets", "planes_of", "unpacked_size"]
-
 MAGIC = b"GSAV"
 VERSION = 1
 HEAD = struct.Struct("<4sHHII")

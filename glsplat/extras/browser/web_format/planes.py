@@ -11,11 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["THINNEST", "WEIGHT", "colour_steps", "colours_of", "from_planes", "mean_steps", "means_of", "quat_bits"]
-__all__ += ["quats_of", "running", "scale_steps", "scales_of", "to_planes", "weight_steps"]
+from glsplat.arrays import F32, F64
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 THINNEST = 1e-6

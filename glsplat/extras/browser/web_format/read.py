@@ -42,8 +42,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import INFLUENCES, Skin
 from glsplat.splats import Level, Splats
 
-__all__ = ["decode_avatar", "read_header"]
-
 _MOST_PARTS = 64
 _FARTHEST = 1e6  # of any number of a box, in metres
 _LOGS = 30.0  # of a scale

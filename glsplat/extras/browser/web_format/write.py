@@ -44,8 +44,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["encode_avatar", "web_file"]
-
 _VISIBLE = 1 / 255  # opacity below which nothing of a splat is ever drawn
 _FINE = 16  # units of a shape's moves that are rounded to one: 15 um of 3 cm, and a low byte that packs
 

@@ -9,11 +9,10 @@ from glsplat.extras.evaluate.comparison.performance import RATE, Performance
 from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.sample import Sample
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.tracker import Tracker, TrackerConfig
-
-__all__ = ["CONTROLS", "recorded", "tracked", "true_poses"]
+from glsplat.tracking.tracker import Tracker
 
 CONTROLS = ("tracking", "pose")
 """By head and hands through the solver, as users do; by the true pose, which no headset knows."""

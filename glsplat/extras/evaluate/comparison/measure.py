@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.parts import PARTS
 from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, Protocol
@@ -18,10 +19,6 @@ from glsplat.extras.evaluate.metrics.flip import flip
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.extras.evaluate.metrics.pixels import WHOLE, decibel
 from glsplat.extras.evaluate.metrics.structure import inner_mean, ssim_map
-
-__all__ = ["BOXED", "MEASURES", "PARTED", "Reference", "Scores"]
-
-F64 = NDArray[np.float64]
 
 MEASURES = ("l1", "lpips", "psnr", "ssim")
 """The paper's, over the whole square."""

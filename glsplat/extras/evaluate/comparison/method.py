@@ -15,8 +15,6 @@ from glsplat.formats import all_formats, load_content
 from glsplat.scene import Rigged
 from glsplat.splats import Splats
 
-__all__ = ["GROUP", "OWN", "MadeElsewhere", "Method", "method_named", "method_of", "read_figure"]
-
 GROUP = "glsplat.methods"
 """Other packages name here, as an entry point, what gives a Method when it is called without arguments."""
 
@@ -41,7 +39,6 @@ class Method(Protocol):
 
         Raises GlsplatError in one line where it cannot: that participant's row then says so.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ from glsplat.extras.evaluate.comparison.participant import Participant
 from glsplat.extras.evaluate.turntable import turntable
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["MeshImage", "MeshVideo", "Photo", "Scan"]
-
 
 @dataclass(frozen=True)
 class _Own:

@@ -18,8 +18,6 @@ from glsplat.io.files import open_regular
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Participant", "digest_of", "participants_in"]
-
 _MESHES = (".npz", ".glb")
 _PICTURES = (".jpg", ".jpeg", ".png")
 _VIDEOS = (".mp4", ".webm", ".mov", ".mkv", ".avi")

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["PARTS", "labelled_mesh", "labels_of", "regions"]
-
 PARTS = ("face", "head", "hands", "torso", "legs")
 """The face is the front of the head without hair; ``head`` is the rest of it, ``torso`` has the arms."""
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.evaluate.avatar_poses import Rotations, fist, pose_of
 from glsplat.formats.motion_files import load_motion
 from glsplat.meshes import RiggedMesh
@@ -15,10 +15,6 @@ from glsplat.motion.motion import Motion
 from glsplat.rotations import slerp
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
-
-__all__ = ["RATE", "TASKS", "Performance", "perform", "perform_motion"]
-
-F64 = NDArray[np.float64]
 
 RATE = 72.0
 """Samples of head and hands a second, as a headset's display."""

@@ -22,8 +22,6 @@ from glsplat.formats.registry import load
 from glsplat.io.files import replace_file
 from glsplat.scene import Rigged, is_rigged
 
-__all__ = ["Product", "key_of", "product"]
-
 
 @dataclass(frozen=True, eq=False)
 class Product:

@@ -7,15 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import PAPER_IPD, Camera, look_at, pinhole, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.comparison.performance import TASKS
-
-__all__ = ["EXTRA_MEASURES", "LIGHTS", "VIEWS", "Protocol", "eyes"]
-
-F64 = NDArray[np.float64]
 
 VIEWS: Mapping[str, float] = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
 """Side of the person that is seen -> azimuth of the camera in degrees, growing towards the left hand."""

@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Sheet"]
-
 Picture = NDArray[np.uint8]
 _SIDE = 192  # pixels of a picture on the sheet
 _STRIP = 18  # pixels of a row's name, above it

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
-
-__all__ = ["Stage", "StageTruth"]
 
 Picture = NDArray[np.uint8]
 _REACH = 0.02  # of the picture; what lies farther from the figure is no body part's
@@ -104,7 +101,5 @@ class Stage:
     def __enter__(self) -> Stage:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()

@@ -7,29 +7,14 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
 from glsplat.extras.evaluate.comparison.parts import PARTS
 from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.extras.evaluate.statistics import compare
 
-__all__ = [
-    "PAPER",
-    "Groups",
-    "by_moment",
-    "by_part",
-    "by_participant",
-    "by_view",
-    "compared",
-    "failures",
-    "grouped",
-    "means",
-    "summary",
-]
-
-F64 = NDArray[np.float64]
 Groups = dict[str, dict[str, dict[str, float]]]
 """By what the figures are of, then method and participant."""
 

@@ -32,8 +32,6 @@ from glsplat.io.provenance import commit
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 
-__all__ = ["Result", "Task", "alone", "finished", "work"]
-
 Tell = Callable[[str, float], None]
 """Called with a step's name and the share of the task that is done."""
 

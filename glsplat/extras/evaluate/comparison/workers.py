@@ -13,8 +13,6 @@ from typing import Any
 
 from glsplat.extras.evaluate.comparison.work import Result, Task, work
 
-__all__ = ["run_tasks"]
-
 Show = Callable[[int, str, float], None]
 """Called with a task's place, what is being done of it, and the share of it that is done."""
 

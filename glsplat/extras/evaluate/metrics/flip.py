@@ -9,8 +9,6 @@ from glsplat.optional import require_package
 
 from .pixels import WHOLE, Box, checked
 
-__all__ = ["flip"]
-
 
 def flip(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = WHOLE) -> float:
     """Mean FLIP over ``box``, for low dynamic range and its default of 67 pixels a degree; 0 is equal.

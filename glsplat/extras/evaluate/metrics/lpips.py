@@ -10,16 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.models.store import path_of
 
 from .onnx import model, output
 from .pixels import checked
 from .weights import BACKBONES, read_weights
-
-__all__ = ["Lpips"]
-
-F32 = NDArray[np.float32]
 
 _SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained
 _SCALE = np.array([0.458, 0.448, 0.450])

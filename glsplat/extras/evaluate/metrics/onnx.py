@@ -10,8 +10,6 @@ import numpy as np
 
 from .weights import Backbone, Weights
 
-__all__ = ["model", "output"]
-
 _FLOAT, _INTS = 1, 7  # TensorProto.FLOAT, AttributeProto.INTS
 
 

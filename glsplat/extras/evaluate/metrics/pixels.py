@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["WHOLE", "Box", "checked", "decibel", "l1", "psnr"]
-
 Box = tuple[slice, slice]
 """Rows and columns of a picture."""
 

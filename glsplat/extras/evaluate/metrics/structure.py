@@ -10,8 +10,6 @@ from glsplat.errors import GlsplatError
 
 from .pixels import WHOLE, Box, checked
 
-__all__ = ["inner_mean", "ssim", "ssim_map"]
-
 _SIGMA, _RADIUS = 1.5, 5  # pixels: the window of 11 x 11 of the publication
 _C1, _C2 = 0.01**2, 0.03**2  # of white
 

@@ -6,16 +6,13 @@ import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.errors import FormatError
-
-__all__ = ["BACKBONES", "Backbone", "Weights", "read_weights"]
-
-F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -118,9 +115,6 @@ class _Arrays(pickle.Unpickler):
         if (module, name) == ("numpy", "dtype"):
             return np.dtype
         raise pickle.UnpicklingError(f"it names {module}.{name}")
-
-    def __init__(self, file: IO[bytes]) -> None:
-        super().__init__(file)
 
 
 def _empty(kind: type, shape: tuple[int, ...], code: bytes) -> NDArray[Any]:

@@ -13,8 +13,6 @@ from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 
-__all__ = ["PAPER", "batching", "paper_of"]
-
 PAPER = {512: (21.78, 37.47), 768: (23.19, 38.33), 1024: (25.45, 38.80)}
 """Pixels a side -> (with, without) Binocular Batching, ms a frame: the paper's table of rendering performance.
 

@@ -18,8 +18,6 @@ from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.scene import Rigged
 
-__all__ = ["SIZES", "Cost", "costs"]
-
 SIZES = (512, 768, 1024)
 """Pixels a side of each eye: those of the paper's table of rendering performance."""
 

@@ -25,8 +25,6 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.skin import Skin
 from glsplat.views import orbited, view_of, viewing_point
 
-__all__ = ["Grid", "fitted", "grid_of", "growth", "resampled", "resident"]
-
 WARM_UP = 2
 HEADS_APART = 10.0
 """Degrees between the heads of four and eight views, which are two and four pairs."""

@@ -21,8 +21,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Feature", "features_of", "left_out", "unmoved"]
-
 _STIR = 1e-9
 """Metres a pose moves each frame so that a skin pass that changes nothing still runs."""
 

@@ -22,8 +22,6 @@ from glsplat.gl.functions import gl_functions
 from glsplat.io.provenance import machine
 from glsplat.renderer import Renderer
 
-__all__ = ["context_cases", "facts", "memory"]
-
 _ROUNDS = 50
 _SETTLED = 20  # rounds after which a driver's caches are filled
 _MAX_GROWTH = 1.1  # of the process from then on; one lost scene a round would be 1.5 and more

@@ -9,9 +9,9 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glsplat import reference
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, stereo_cameras
 from glsplat.config import RenderConfig, with_fields
@@ -27,10 +27,6 @@ from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.splats import Splats
-
-__all__ = ["SCENES", "RenderPath", "contract_cases", "paths_of"]
-
-F64 = NDArray[np.float64]
 
 MIN_PSNR_16F = 50.0  # dB; also of 8-bit pictures
 MAX_MEAN_DEPTH_ERROR_M = 1e-4  # at 3 m

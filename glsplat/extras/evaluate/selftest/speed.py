@@ -14,8 +14,6 @@ from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 
-__all__ = ["frame_ms", "largest_scene"]
-
 _FEWEST, _MOST = 1_000, 8_192_000  # splats
 _HALVINGS = 3  # of the interval between the last that keeps the rate and the first that does not
 

@@ -30,8 +30,6 @@ from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["all_cases", "extreme_cases"]
-
 LARGEST = 8192
 """Pixels a side of the largest target that every driver of OpenGL 4 has."""
 

@@ -19,20 +19,6 @@ from glsplat.renderer.probe import Probe
 from glsplat.scene import SceneLike
 from glsplat.splats import SH_C0, Splats
 
-__all__ = [
-    "Case",
-    "Outcome",
-    "camera",
-    "cloud",
-    "compared",
-    "frame_cases",
-    "head",
-    "judge",
-    "picture_case",
-    "refused",
-    "renderer",
-]
-
 SIZE = 64
 
 

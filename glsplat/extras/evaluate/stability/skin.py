@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glsplat import reference
-from glsplat.arrays import restored
+from glsplat.arrays import F64, restored
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError, PoseError
 from glsplat.extras.evaluate.stability.frame import Case, Outcome, camera, refused, renderer
@@ -21,11 +21,8 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["chain", "expressive", "skin_cases"]
-
 POSITION, COVARIANCE = 1e-5, 1e-4  # gates of docs/skinning.md: metres, relative
 SWEEP = 0.5  # degrees a step
-F64 = NDArray[np.float64]
 Row = tuple[str, str, str, Callable[[Context], Outcome]]
 _TWIN = "as the float64 twin, rotations stay rotations"
 

@@ -20,8 +20,6 @@ from glsplat.tracking.solve.body import ELBOWS, FEET, HAND_FRAMES, HEAD, HEAD_FR
 from glsplat.tracking.solve.limits import violation
 from glsplat.tracking.solve.quat import mul, to_quat, yaw_quat
 
-__all__ = ["tracking_cases"]
-
 RATE = 72.0
 LIMIT = 0.5  # of what ``violation`` says: rounding of the clamp
 STILL = 2e-3  # metres a joint moves from sample to sample at the most where the body is at rest

@@ -18,8 +18,6 @@ from glsplat.extras.far_links.datagrams.aioquic_internals import (
     register_congestion_control,
 )
 
-__all__ = ["NAME", "PictureWindow"]
-
 NAME = "glsplat"
 """Name of the window in a QuicConfiguration."""
 _GAIN = 2.0

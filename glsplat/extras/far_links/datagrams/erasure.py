@@ -12,8 +12,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST", "parity_of", "restored"]
-
 MOST = 255
 """Pieces and parity pieces of one code at most."""
 _POLYNOMIAL = 0x11D  # x^8 + x^4 + x^3 + x^2 + 1, of which 2 is a generator

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from glsplat.extras.far_links.datagrams.listener import DatagramListener
     from glsplat.net.rights import User
 
-__all__ = ["Datagrams"]
-
 
 class Datagrams(Feature):
     """Listens to UDP at the number of the server's TCP port.

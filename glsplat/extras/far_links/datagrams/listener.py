@@ -16,14 +16,11 @@ from cryptography.hazmat.primitives import hashes
 from glsplat.extras.far_links.datagrams.aioquic_internals import SMALLEST_MAX_DATAGRAM_SIZE, ConnectionServer
 from glsplat.extras.far_links.datagrams.congestion import NAME
 from glsplat.extras.far_links.datagrams.offers import LASTS, Offers
-from glsplat.extras.far_links.datagrams.path import DatagramPath
-from glsplat.extras.far_links.datagrams.roles import PathUser
+from glsplat.extras.far_links.datagrams.path import DatagramPath, PathUser
 from glsplat.extras.far_links.datagrams.udp import UdpSocket, bind_udp
 from glsplat.extras.operations.certificate import short_lived_certificate
 from glsplat.net.guard.limits import address_key
 from glsplat.net.guard.notices import Notices
-
-__all__ = ["DatagramListener"]
 
 _CERTIFICATE_LIFE = timedelta(days=12)  # browsers accept 14, one of them in the past
 _CERTIFICATE_RENEWAL = timedelta(days=5)

@@ -1,4 +1,4 @@
-"""Secrets that tie a client's second way to its first: each is for one use, and for seconds. No I/O, no clock."""
+"""Secrets that tie a datagram path to a client: each is valid once, for seconds. No I/O."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-__all__ = ["LASTS", "Offers"]
-
 LASTS = 10.0
 """Seconds for which a secret is good."""
 
-_KNOCKS = 48  # packets of connections that are not there yet, for each offer: a client needs 2 to 4, and lost ones anew
+_KNOCKS = 48  # packets from unknown connections for each offer: a client needs 2 to 4, and repeats lost ones
 
 T = TypeVar("T")
 
@@ -26,21 +24,21 @@ class _Offer(Generic[T]):
 
 
 class Offers(Generic[T]):
-    """One offer a client at most: a later one takes the place of the one before."""
+    """Open offers, one for each client: a new one replaces the old."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._open: dict[str, _Offer[T]] = {}  # by secret
 
     def make(self, address: str, whose: T) -> str:
-        """A secret for a client of that address (``address_key``)."""
+        """Return a new secret for a client of that address (``address_key``)."""
         self.withdraw(whose)
         secret = secrets.token_urlsafe(24)
         self._open[secret] = _Offer(address, self._clock() + LASTS, whose)
         return secret
 
     def take(self, secret: str, address: str) -> T | None:
-        """Whose it is; None where it is nobody's, was taken, is too old, or was given to another address."""
+        """Return the owner of a secret, once; None for one that is unknown, used, expired or of another address."""
         self._expire()
         offer = self._open.get(secret)
         if offer is None or offer.address != address:
@@ -49,19 +47,16 @@ class Offers(Generic[T]):
         return offer.whose
 
     def withdraw(self, whose: T) -> None:
-        """The client has left."""
+        """Remove a client's offer."""
         self._open = {secret: offer for secret, offer in self._open.items() if offer.whose is not whose}
 
     def open(self) -> bool:
-        """Whether anybody may come now."""
+        """Return whether there is an open offer."""
         self._expire()
         return bool(self._open)
 
     def knock(self, address: str) -> bool:
-        """Whether a packet of an unknown connection from that address may be looked at: few are, for each offer.
-
-        Addresses are easily made up, and what a packet seems to be costs time to find out.
-        """
+        """Return whether to parse a packet of an unknown connection: few for each offer, as addresses can be forged."""
         now = self._clock()
         for offer in self._open.values():
             if offer.address == address and offer.until > now and offer.knocks > 0:

@@ -12,8 +12,6 @@ import numpy as np
 
 from glsplat.extras.far_links.datagrams.erasure import MOST, parity_of, restored
 
-__all__ = ["HEAD", "LARGEST", "NONCE", "PICTURE", "PIECE", "PING", "REQUEST", "Assembler", "groups_of", "packets_of"]
-
 PICTURE, PING, REQUEST = 0, 1, 2
 """Kinds: a piece of a picture; what is to be answered by its own bytes; a piece of a request, of the client's."""
 PIECE = 1124

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from aioquic.h3.connection import H3Connection
 from aioquic.h3.events import DatagramReceived, DataReceived, H3Event, HeadersReceived
@@ -26,11 +26,8 @@ from glsplat.extras.far_links.datagrams.packets import (
     packets_of,
 )
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
-from glsplat.extras.far_links.datagrams.roles import PathUser
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.messages import MAX_MESSAGE_BYTES
-
-__all__ = ["DatagramPath"]
 
 _HANDSHAKE_S = 5.0  # from the first packet to an accepted session
 _GRACE_S = 0.05  # by which a client's answer may follow QUIC's acknowledgement
@@ -54,6 +51,28 @@ class _SentPicture:
     parity: int
     last: int = -1  # number of its last packet; -1: some wait to be sent
     settled: float = 0.0  # time at which each packet was known to have arrived or to be lost
+
+
+class PathUser(Protocol):
+    """What a path reports to its client, on the event loop."""
+
+    def opened(self, path: DatagramPath) -> None:
+        """Start to send pictures."""
+
+    def answered(self, payload: bytes) -> None:
+        """Note the answer to a ping, or the nonce of a picture that has arrived."""
+
+    def heard(self, message: bytes) -> None:
+        """Take a message of the client, as over the WebSocket."""
+
+    def lost(self, frame_id: int) -> None:
+        """Note a picture that will not arrive."""
+
+    def unanswered(self, frame_id: int) -> None:
+        """Note a picture that QUIC acknowledged and the client did not."""
+
+    def closed(self) -> None:
+        """Send nothing more."""
 
 
 class DatagramPath(ConnectionProtocol):

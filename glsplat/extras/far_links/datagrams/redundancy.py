@@ -5,8 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 from math import exp
 
-__all__ = ["parity_for"]
-
 _FAILS = 0.003  # of the pictures that may not be put together
 _MOST = 0.4  # parity pieces a piece: more than that is no link for pictures
 

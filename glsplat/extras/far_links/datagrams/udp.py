@@ -14,8 +14,6 @@ from typing import Any
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.listener import bind
 
-__all__ = ["UdpSocket", "bind_udp"]
-
 _BATCH = 64  # datagrams a turn of the loop
 _LARGEST = 2048  # bytes of one; QUIC's are below 1,500
 _BUFFER = 1 << 20  # bytes that the system keeps, if it lets us

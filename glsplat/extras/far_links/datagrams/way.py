@@ -1,7 +1,4 @@
-"""The second way of one client: when it is offered, what goes over it, and what that means for its session.
-
-The first is the WebSocket, over which requests and all else go, and pictures while there is no second.
-"""
+"""SecondWay: datagrams for the pictures of one client, beside the WebSocket that carries everything else."""
 
 from __future__ import annotations
 
@@ -10,32 +7,31 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from glsplat.extras.far_links.datagrams.roles import Host, Path
 from glsplat.extras.far_links.link_control import LinkControl
 
 if TYPE_CHECKING:
+    from glsplat.extras.far_links.datagrams.listener import DatagramListener
+    from glsplat.extras.far_links.datagrams.path import DatagramPath
     from glsplat.net.session import Session
 
-__all__ = ["LONG", "SecondWay"]
-
 LONG = 0.008
-"""Seconds there and back from which on it is worth it: what TCP waits for a lost packet. A machine's own are below."""
-_AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until it is offered again, times so much each time; how often
-_GOOD = 200  # pictures after which a way that ends was a good one
-_HEARD = 64  # messages that may wait, the newest
-_WIDEST = 64  # more than a window is wide
+"""Round trip in seconds from which datagrams gain: TCP waits that long for a lost packet."""
+_AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until the next offer, their growth factor; most offers
+_GOOD = 200  # pictures after which a path that ends counts as good
+_HEARD = 64  # queued messages; older ones are dropped
+_WIDEST = 64  # remembered pictures, more than a window has
 
 
 class SecondWay:
-    """``wake`` is called when a picture may be drawn that waited for another."""
+    """Calls ``wake`` when the next picture may be drawn."""
 
     def __init__(
-        self, listener: Host, session: Session, address: str, clock: Callable[[], float],
+        self, listener: DatagramListener, session: Session, address: str, clock: Callable[[], float],
         wake: Callable[[], None],
     ) -> None:  # fmt: skip
         self._listener, self._session, self._address = listener, session, address
         self._clock, self._wake = clock, wake
-        self._path: Path | None = None
+        self._path: DatagramPath | None = None
         self._next, self._pause, self._tries = 0.0, _AGAIN, 0
         self._sent = self._lost = self._before = 0
         self._newest: deque[int] = deque(maxlen=_WIDEST)  # pictures that went this way
@@ -43,7 +39,7 @@ class SecondWay:
         self._more = asyncio.Event()
 
     def offer(self) -> dict[str, str] | None:
-        """What the next reply says, where a second way is wanted and worth it; it is offered seldom."""
+        """Return "datagrams" of the next reply, where the client accepts them and its link gains; rarely."""
         link, now = self._link, self._clock()
         if not self._session.datagrams or self._path is not None or link is None or not link.known:
             return None
@@ -62,12 +58,12 @@ class SecondWay:
         return link
 
     def link_bytes(self, nbytes: int) -> int:
-        """Bytes that a picture of so many takes of the link, whichever way it goes now."""
+        """Return the bytes on the link of a picture of ``nbytes``, by its present way."""
         path = self._path
         return nbytes if path is None or not path.takes(nbytes) else round(nbytes * path.overhead(nbytes))
 
     def send(self, frame_id: int, picture: bytes) -> bool:
-        """Whether the picture goes this way."""
+        """Send a picture; return False where it has to go over the WebSocket."""
         path, link = self._path, self._link
         if path is None or link is None or not path.takes(len(picture)):
             return False
@@ -77,27 +73,27 @@ class SecondWay:
         return True
 
     def ping(self, payload: bytes) -> bool:
-        """Whether that ping goes this way."""
+        """Send a ping; return False where it has to go over the WebSocket."""
         if self._path is None:
             return False
         self._path.probe(payload)
         return True
 
     def status(self) -> dict[str, float]:
-        """For /stats: whether there is one now, pictures that were sent and lost, and the share of packets lost."""
+        """Return "datagrams" of /stats: whether a path is open, pictures sent and lost, share of lost packets."""
         path = self._path
         loss = 0.0 if path is None else round(path.loss, 4)
         return {"open": int(path is not None), "sent": self._sent, "lost": self._lost, "loss": loss}
 
     def close(self) -> None:
-        """The client has left."""
+        """Close the path: the client has left."""
         self._listener.withdraw(self)
         if self._path is not None:
             self._path.end()
 
     # ------------------------------------------------------------------------------------------------------- PathUser
 
-    def opened(self, path: Path) -> None:
+    def opened(self, path: DatagramPath) -> None:
         """As in PathUser."""
         self._path, self._before = path, self._sent
 
@@ -113,7 +109,7 @@ class SecondWay:
         self._more.set()
 
     async def message(self) -> str:
-        """The next that the client sends this way; what is no text is nothing."""
+        """Return the next message of the client."""
         while not self._heard:
             self._more.clear()
             await self._more.wait()
@@ -133,7 +129,7 @@ class SecondWay:
     def closed(self) -> None:
         """As in PathUser."""
         self._path = None
-        self._session.give_up(self._newest)  # QUIC may have them acknowledged, and the client none
+        self._session.give_up(self._newest)  # QUIC may have acknowledged pictures that the client did not
         self._wake()
         self._listener.withdraw(self)
         if self._sent - self._before > _GOOD:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SIZE", "codebook"]
-
 SIZE = 256
 _BINS = 1 << 14
 _EVEN = 0.25  # of the codes at the start: spread evenly over the range, whatever lies there

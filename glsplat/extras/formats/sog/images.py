@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.formats.sog.package import Package
 
-__all__ = ["decoded", "encoded"]
-
 _HEAD = 1 << 12  # bytes in which the size is found
 _CHUNKS = 16  # of a WebP, before its image
 

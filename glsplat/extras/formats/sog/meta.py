@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 
-__all__ = ["BANDS", "MOST_SPLATS", "Meta", "parse"]
-
 BANDS = {1: 3, 2: 8, 3: 15}
 """Coefficients beyond the first of the spherical harmonics of a degree."""
 

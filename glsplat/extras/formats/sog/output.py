@@ -17,8 +17,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.formats.sog.package import META
 from glsplat.io.files import Source, replace_file
 
-__all__ = ["write_folder", "write_zip"]
-
 # what a SOG calls its images, here and elsewhere: only these are taken away with a meta.json that named them
 _OURS = re.compile(r"(means_[lu]|scales|quats|sh0|shN_(centroids|labels))(\.[0-9a-f]{12})?\.webp")
 

@@ -13,8 +13,6 @@ from typing import BinaryIO, Protocol
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
-__all__ = ["META", "Package", "SogFolder", "SogZip", "is_zip"]
-
 META = "meta.json"
 _META_SIZE = 1 << 20  # bytes; those of other makers have 2 to 20 kB
 _ENTRIES = 1000  # in the directory of the zip; a SOG has 6 to 9

@@ -7,8 +7,6 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["palette", "palette_size"]
-
 _ROUNDS = 2
 _GROUP = 256  # sets that lie together
 _NEAR = 8  # groups that a row is compared with

@@ -14,8 +14,6 @@ from glsplat.extras.formats.sog.meta import BANDS, Meta, parse
 from glsplat.extras.formats.sog.package import Package, SogFolder, SogZip
 from glsplat.splats import Splats
 
-__all__ = ["read_sog"]
-
 _SPARE = 1 << 16  # pixels that an image may have beyond four times what is needed
 _SPLATS_A_BYTE, _FREE = 256, 1 << 16  # splats that a file may hold: so many a byte, and so many in any case
 _CHUNK = 1 << 16  # splats decoded at a time

@@ -18,8 +18,6 @@ from glsplat.formats.format import Format, Opened, clamped_opacities
 from glsplat.io.files import Source, naming
 from glsplat.splats import Splats
 
-__all__ = ["SOG", "save_sog"]
-
 _LARGEST = 1 << 20  # bytes of a meta.json
 
 

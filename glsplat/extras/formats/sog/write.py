@@ -17,8 +17,6 @@ from glsplat.extras.formats.sog.package import META
 from glsplat.extras.formats.sog.palette import palette, palette_size
 from glsplat.splats import Splats
 
-__all__ = ["SMALLEST", "drawn", "packed", "stored_order"]
-
 SMALLEST = 1e-9
 """The smallest standard deviation that is written, in metres: a scale of zero has no logarithm."""
 

@@ -1,4 +1,4 @@
-"""pyopenxr, imported when it is needed, and its errors as ours."""
+"""pyopenxr, imported on demand, with its errors as GlsplatErrors."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from typing import Any
 
 from glsplat.errors import ContextError, ContextLostError
 
-__all__ = ["INSTALL", "called", "function", "pyopenxr", "quietly"]
-
 INSTALL = "pip install 'glsplat[openxr]'"
 
 
 def pyopenxr() -> Any:
-    """The module ``xr``. ContextError says how to install it."""
+    """Return the module ``xr``. Raises ContextError with the command that installs it."""
     os.environ.setdefault("XR_LOADER_DEBUG", "none")  # what goes wrong we say ourselves, in one line
     try:
         import xr
@@ -27,16 +25,16 @@ def pyopenxr() -> Any:
 
 
 def quietly(destroy: Callable[[Any], None], handle: Any) -> None:
-    """Destroy it; what a runtime that is gone had is gone."""
+    """Destroy a handle; a lost runtime has no handles left."""
     with suppress(pyopenxr().exception.XrException):
         destroy(handle)
 
 
 @contextmanager
 def called(what: str) -> Iterator[None]:
-    """Errors of pyopenxr within it become ContextLostError where the runtime is gone, else ContextError.
+    """Raise pyopenxr's errors as ContextLostError if the runtime is lost, else as ContextError.
 
-    Successes that tell something more (a frame was discarded, a session is not focused) are passed over.
+    Qualified successes (a frame was discarded, a session is not focused) are ignored.
     """
     xr = pyopenxr()
     gone = (xr.InstanceLostError, xr.SessionLostError, xr.SessionLossPending, xr.RuntimeFailureError)
@@ -52,7 +50,7 @@ def called(what: str) -> Iterator[None]:
 
 
 def function(instance: Any, name: str) -> Any:
-    """A function of an extension that pyopenxr wraps in a way that does not work: as C has it, raising its errors."""
+    """Return the C function of an extension whose wrapper in pyopenxr does not work; it raises pyopenxr's errors."""
     import ctypes
 
     xr = pyopenxr()

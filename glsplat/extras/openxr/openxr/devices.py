@@ -14,8 +14,6 @@ from glsplat.extras.openxr.openxr.calls import called, function, pyopenxr, quiet
 from glsplat.extras.openxr.runtime import Devices
 from glsplat.tracking.sample import Transform
 
-__all__ = ["WANTED", "DeviceReader", "transform_of"]
-
 HANDS, GAZE = "XR_EXT_hand_tracking", "XR_EXT_eye_gaze_interaction"
 BODY, FULL_BODY = "XR_FB_body_tracking", "XR_META_body_tracking_full_body"
 FACE, FACE_HTC = "XR_FB_face_tracking2", "XR_HTC_facial_tracking"

@@ -9,8 +9,6 @@ from typing import Any
 from glsplat.errors import ContextError
 from glsplat.extras.openxr.openxr.calls import pyopenxr
 
-__all__ = ["EGL_ENABLE", "OPENGL_ENABLE", "api_in_use", "graphics_binding"]
-
 OPENGL_ENABLE, EGL_ENABLE = "XR_KHR_opengl_enable", "XR_MNDX_egl_enable"
 _P, _I = ctypes.c_void_p, ctypes.c_int
 

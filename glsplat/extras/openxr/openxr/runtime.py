@@ -1,4 +1,4 @@
-"""OpenXrRuntime: a ``Runtime`` by pyopenxr: instance, system, session, spaces, swapchains and frames."""
+"""OpenXrRuntime: instance, system, session, spaces, swapchains and frames, by pyopenxr."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from glsplat.errors import ContextError, ContextLostError
 from glsplat.extras.openxr.openxr.calls import called, function, pyopenxr, quietly
 from glsplat.extras.openxr.openxr.devices import WANTED, DeviceReader, transform_of
 from glsplat.extras.openxr.openxr.graphics import EGL_ENABLE, OPENGL_ENABLE, api_in_use, graphics_binding
+from glsplat.extras.openxr.openxr.swapchain import Swapchain
 from glsplat.extras.openxr.runtime import Blend, Devices, Event, Fov, FrameTiming, Projection, State, ViewPose
 from glsplat.gl.context import Context
 from glsplat.tracking.sample import Transform
-
-__all__ = ["OpenXrRuntime", "offered"]
 
 DEPTH, LOCAL_FLOOR, PASSTHROUGH = "XR_KHR_composition_layer_depth", "XR_EXT_local_floor", "XR_FB_passthrough"
 EYES = 1.6
@@ -24,7 +23,6 @@ EYES = 1.6
 START = "start SteamVR, the Meta Quest Link app, WiVRn or Monado (XR_RUNTIME_JSON names another one)"
 _BLENDS: dict[int, Blend] = {1: "opaque", 2: "additive", 3: "alpha"}
 _VALID = 3  # XR_VIEW_STATE_ORIENTATION_VALID_BIT | POSITION_VALID_BIT
-_PATIENCE = 2_000_000_000  # nanoseconds that an image may be held by the runtime
 
 
 def offered() -> frozenset[str]:
@@ -37,7 +35,9 @@ def offered() -> frozenset[str]:
 
 
 class OpenXrRuntime:
-    """Of the context that is current, which stays so during every call. ContextError, one line, where it cannot be.
+    """One instance with its system and session, for the current context, which stays current during every call.
+
+    Raises ContextError where that cannot be; ContextLostError from any call means that only ``close`` is left.
 
     ``layers``: API layers to switch on, as "XR_APILAYER_LUNARG_core_validation".
     """
@@ -91,26 +91,26 @@ class OpenXrRuntime:
                 return Event("recentred", time=int(pending.change_time))
 
     def begin(self) -> None:
-        """xrBeginSession."""
+        """xrBeginSession, in the state READY."""
         xr = self._xr
         info = xr.SessionBeginInfo(primary_view_configuration_type=xr.ViewConfigurationType.PRIMARY_STEREO)
         with called("xrBeginSession"):
             xr.begin_session(self._session, info)
 
     def end(self) -> None:
-        """xrEndSession."""
+        """xrEndSession, in the state STOPPING."""
         with called("xrEndSession"):
             self._xr.end_session(self._session)
 
     def request_exit(self) -> None:
-        """xrRequestExitSession."""
+        """xrRequestExitSession; STOPPING follows."""
         with called("xrRequestExitSession"):
             self._xr.request_exit_session(self._session)
 
     # ------------------------------------------------------------------------------------------------------- frames
 
     def wait_frame(self) -> FrameTiming:
-        """xrWaitFrame."""
+        """xrWaitFrame: return when the next frame is to be begun."""
         with called("xrWaitFrame"):
             state = self._xr.wait_frame(self._session)
             return FrameTiming(
@@ -141,7 +141,7 @@ class OpenXrRuntime:
             xr.end_frame(self._session, info)
 
     def views(self, time: int) -> tuple[ViewPose, ViewPose] | None:
-        """xrLocateViews, both eyes."""
+        """xrLocateViews: both eyes at that time; None while the head's pose is unknown."""
         xr = self._xr
         kind = xr.ViewConfigurationType.PRIMARY_STEREO
         with called("xrLocateViews"):
@@ -153,16 +153,16 @@ class OpenXrRuntime:
         return None
 
     def devices(self, time: int, active: bool) -> Devices:
-        """All that is tracked."""
+        """Return all that is tracked, at that time; actions are read while ``active`` (FOCUSED)."""
         return self._devices.read(self._view, self._space, time, active)
 
     def move(self, place: Transform) -> None:
-        """Another space in the place of the one before."""
+        """Put the session's space at a pose in the space as it was at the beginning."""
         old, self._space = self._space, self._reference(self._kind, place, self._base)
         with called("xrDestroySpace"):
             self._xr.destroy_space(old)
 
-    def swapchain(self, internal_format: int, size: tuple[int, int], layers: int, depth: bool) -> _Swapchain:
+    def swapchain(self, internal_format: int, size: tuple[int, int], layers: int, depth: bool) -> Swapchain:
         """xrCreateSwapchain."""
         xr, uses = self._xr, self._xr.SwapchainUsageFlags
         use = uses.DEPTH_STENCIL_ATTACHMENT_BIT if depth else uses.COLOR_ATTACHMENT_BIT
@@ -179,11 +179,11 @@ class OpenXrRuntime:
         with called("xrCreateSwapchain"):
             made = xr.create_swapchain(self._session, info)
             images = xr.enumerate_swapchain_images(made, xr.SwapchainImageOpenGLKHR)
-            return _Swapchain(xr, made, size, layers, [int(image.image) for image in images])
+            return Swapchain(xr, made, size, layers, [int(image.image) for image in images])
         raise ContextLostError("xrCreateSwapchain gave none")
 
     def close(self) -> None:
-        """Session and instance, whatever state they are in."""
+        """Destroy session and instance, in any state."""
         with suppress(self._xr.exception.XrException):
             self._stack.close()
 
@@ -329,37 +329,6 @@ class OpenXrRuntime:
         rect = xr.Rect2Di(offset=xr.Offset2Di(0, 0), extent=xr.Extent2Di(*chain.size))
         index = eye if len(chains) == 1 else 0
         return xr.SwapchainSubImage(swapchain=chain.handle, image_rect=rect, image_array_index=index)
-
-
-class _Swapchain:
-    def __init__(self, xr: Any, handle: Any, size: tuple[int, int], layers: int, textures: list[int]) -> None:
-        self._xr = xr
-        self.handle: Any = handle
-        self.size: tuple[int, int] = size
-        self.layers: int = layers
-        self.textures: list[int] = textures
-
-    def acquire(self) -> int:
-        """xrAcquireSwapchainImage and xrWaitSwapchainImage."""
-        xr = self._xr
-        with called("xrAcquireSwapchainImage"):
-            index = int(xr.acquire_swapchain_image(self.handle, xr.SwapchainImageAcquireInfo()))
-        done = False
-        with called("xrWaitSwapchainImage"):
-            xr.wait_swapchain_image(self.handle, xr.SwapchainImageWaitInfo(timeout=_PATIENCE))
-            done = True
-        if not done:  # XR_TIMEOUT_EXPIRED
-            raise ContextLostError("the OpenXR runtime does not give its images back")
-        return index
-
-    def release(self) -> None:
-        """xrReleaseSwapchainImage."""
-        with called("xrReleaseSwapchainImage"):
-            self._xr.release_swapchain_image(self.handle, self._xr.SwapchainImageReleaseInfo())
-
-    def close(self) -> None:
-        """xrDestroySwapchain."""
-        quietly(self._xr.destroy_swapchain, self.handle)
 
 
 def _as(data: Any, kind: Any) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.vrm import face_binds
 from glsplat.formats.gltf.container import Container, item
@@ -12,10 +13,6 @@ from glsplat.formats.gltf.morphs import read_morphs
 from glsplat.formats.gltf.nodes import Instance
 from glsplat.meshes import Morphs
 from glsplat.skinning.expression import ARKIT, arkit_name
-
-__all__ = ["Faces"]
-
-F64 = NDArray[np.float64]
 
 
 class Faces:

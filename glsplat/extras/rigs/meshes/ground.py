@@ -7,13 +7,10 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["faces_back", "on_the_floor"]
-
-F64 = NDArray[np.float64]
 
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SOLE = 0.0165  # of the stature; height of the foot joint (the ball) above the floor, as on the reference body

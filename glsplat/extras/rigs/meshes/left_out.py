@@ -8,13 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph, Instance
-
-__all__ = ["TRIANGLES", "LeftOut", "apart", "carried", "nearest", "refuse_packed", "survey"]
-
-F64 = NDArray[np.float64]
 
 TRIANGLES = (4, 5, 6)
 _NAMED = 3  # names a line

@@ -15,8 +15,6 @@ from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.schema import Accessor
 from glsplat.pictures import to_linear, to_srgb
 
-__all__ = ["Material", "material_of"]
-
 _PLAIN = 4  # texels a side of a texture of one colour
 _WEBP, _TRANSFORM, _BASIS = "EXT_texture_webp", "KHR_texture_transform", "KHR_texture_basisu"
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.humanoid import reference_joints
 from glsplat.extras.rigs.meshes.faces import Faces
@@ -24,10 +25,6 @@ from glsplat.formats.gltf.rig import inverse_binds, read_influences, read_skelet
 from glsplat.meshes import MeshPart, RiggedMesh, standing
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
-
-__all__ = ["mesh_of", "read_gltf_person"]
-
-F64 = NDArray[np.float64]
 
 _MOST = 1 << 25  # vertices and corners of triangles
 _NO_SKIN = "a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), or parts named as a body's are; found none"

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.rigs.bound import Bound, bound_of, names_of_joints
 from glsplat.extras.rigs.humanoid import seated
@@ -23,10 +24,6 @@ from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.rig import MAX_JOINTS, joint_names, joint_parents
 from glsplat.skinning.skeleton import Skeleton
-
-__all__ = ["Rig", "rig_of"]
-
-F64 = NDArray[np.float64]
 
 _SAID = 3  # joints; with no more than that, names say nothing
 

@@ -9,8 +9,6 @@ from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["read_rig_map"]
-
 _LARGEST = 1 << 20  # bytes
 
 

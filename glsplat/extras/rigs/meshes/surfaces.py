@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.meshes.material import Material, material_of
 from glsplat.extras.rigs.meshes.vertex_colours import painted
 from glsplat.formats.gltf.container import Container
 from glsplat.formats.gltf.nodes import Instance
 from glsplat.formats.gltf.schema import Primitive
-
-__all__ = ["Materials", "Surface", "surface_of"]
-
-F64 = NDArray[np.float64]
 
 _UV, _COLOUR = "texture coordinates (now 0, 0)", "vertex colours (now white)"
 

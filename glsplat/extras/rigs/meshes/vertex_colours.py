@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.meshes import MeshPart
 from glsplat.pictures import to_linear, to_srgb
-
-__all__ = ["painted"]
-
-F64 = NDArray[np.float64]
 
 _LEAST, _UNEVEN, _MOST = 3, 9, 24  # texels a side of a square; three hold what three corners say
 _EVEN = 0.15  # of a factor; within a triangle of less, three do

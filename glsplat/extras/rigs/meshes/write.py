@@ -23,8 +23,6 @@ from glsplat.io.files import Source
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import INFLUENCES, Skin
 
-__all__ = ["save_gltf_mesh"]
-
 _VERSION = 1  # of asset.extras.glsplat
 _SMALL = 640 * 640  # texels up to which a texture is a PNG
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]

@@ -12,8 +12,6 @@ from glsplat.extras.speech.face.osc import osc_messages
 from glsplat.extras.speech.face.unified import gaze_of, parameter_of, weights_of
 from glsplat.tracking.sample import Sample
 
-__all__ = ["FaceFeed"]
-
 HOLD_S = 0.5  # without a packet that the face keeps its shape ...
 RELAX_S = 0.25  # ... and the time constant of its relaxation afterwards
 FORGET_S = 3.0  # without a packet until all values are dropped

@@ -6,13 +6,10 @@ import logging
 import socket
 import threading
 import time
-from types import TracebackType
 from typing import Self
 
 from glsplat.errors import GlsplatError
 from glsplat.extras.speech.face.feed import FaceFeed
-
-__all__ = ["FaceListener"]
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -43,9 +40,7 @@ class FaceListener:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ends.set()
         self._thread.join()
         self._socket.close()

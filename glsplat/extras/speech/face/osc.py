@@ -10,8 +10,6 @@ from collections.abc import Iterator
 
 from glsplat.errors import ProtocolError
 
-__all__ = ["Argument", "osc_messages"]
-
 Argument = float | bool
 
 MAX_DEPTH = 4  # of nested bundles

@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping
 
 from glsplat.skinning.expression import ARKIT, arkit_name
 
-__all__ = ["PARAMETERS", "gaze_of", "parameter_of", "weights_of"]
-
 _PREFIX = "/avatar/parameters/"  # then perhaps FT/v2/, v2/, or a prefix of the avatar's maker
 
 Part = tuple[str, float]  # a parameter with the sign of its conversion, and its share

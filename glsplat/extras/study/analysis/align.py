@@ -10,16 +10,12 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.statistics.ranks import TIE, average_ranks
 
 from .effects import Effect
 from .table import Table
-
-__all__ = ["aligned", "aligned_for_contrasts", "ranked", "ranked_for_contrasts", "spread_ranks", "step_of"]
-
-F64 = NDArray[np.float64]
 
 DRAWS = 25
 

@@ -24,8 +24,6 @@ from .plain import MOST_CONDITIONS, Omnibus, plain_tests
 from .repeated import FTest
 from .table import Table
 
-__all__ = ["ALPHA", "Analysis", "Cell", "EffectRow", "analyse"]
-
 ALPHA = 0.05
 
 

@@ -8,9 +8,9 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.statistics.holm import holm
 
@@ -19,20 +19,6 @@ from .effects import Effect, effects_of
 from .repeated import FTest
 from .table import Table
 
-__all__ = [
-    "Contrast",
-    "Model",
-    "ModelName",
-    "art",
-    "art_contrasts",
-    "art_spread",
-    "choose",
-    "conditions",
-    "name_of",
-    "stray",
-]
-
-F64 = NDArray[np.float64]
 ModelName = Literal["auto", "rm", "mixed"]
 
 

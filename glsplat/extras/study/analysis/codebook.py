@@ -12,16 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
 from .table import number_of, read_rows
-
-__all__ = ["Codebook", "Measure", "item_answers", "read_codebook", "wide_items"]
-
-F64 = NDArray[np.float64]
 
 MOST_BYTES = 4 << 20
 

@@ -6,16 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ncfdtr
 
+from glsplat.arrays import F64
 from glsplat.extras.statistics.bootstrap import LEVEL, RESAMPLES
 from glsplat.extras.statistics.ranks import TIE
-
-__all__ = ["EffectSize", "cliffs_delta", "partial_eta_squared"]
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

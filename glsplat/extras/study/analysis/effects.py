@@ -8,12 +8,9 @@ from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import helmert
 
-__all__ = ["Effect", "averages", "effects_of", "hypothesis", "kron"]
-
-F64 = NDArray[np.float64]
+from glsplat.arrays import F64
 
 Effect = tuple[int, ...]
 """Places of the factors that an effect is of: (0,) a main effect, (0, 2) an interaction."""

@@ -13,20 +13,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import minimize_scalar
 from scipy.special import fdtrc
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 
 from .effects import Effect, averages, hypothesis
 from .repeated import NOTHING, FTest
 from .table import Table
-
-__all__ = ["Fit", "contrasts", "fit", "test"]
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

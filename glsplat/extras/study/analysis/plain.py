@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 from scipy.stats import kruskal, mannwhitneyu
 
+from glsplat.arrays import F64
 from glsplat.extras.statistics.holm import holm
 from glsplat.extras.statistics.ranks import average_ranks, rank_biserial, wilcoxon
 
@@ -21,10 +21,6 @@ from .effect_sizes import EffectSize, cliffs_delta
 from .effects import Effect, averages
 from .repeated import split
 from .table import Table
-
-__all__ = ["MOST_CONDITIONS", "Omnibus", "Pair", "friedman", "kruskal_wallis", "plain_tests"]
-
-F64 = NDArray[np.float64]
 
 MOST_CONDITIONS = 24
 """Of an effect whose pairs are all compared: 276 of them."""

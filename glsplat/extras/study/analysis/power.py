@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.statistics.bootstrap import LEVEL
 
@@ -25,9 +25,6 @@ from .effects import Effect, effects_of, hypothesis
 from .repeated import f_tests, split
 from .table import Table, make_table
 
-__all__ = ["Draws", "Planned", "Power", "from_pilot", "power"]
-
-F64 = NDArray[np.float64]
 Draws = Callable[[np.random.Generator, int], F64]
 """Answers [runs, N] of so many studies, on the rows of the planned table."""
 

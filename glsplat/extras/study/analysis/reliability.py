@@ -9,16 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import fdtri
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.statistics.bootstrap import LEVEL
-
-__all__ = ["Reliability", "reliability"]
-
-F64 = NDArray[np.float64]
 
 SMALLEST = 0.005
 """Share of an item's variance that is its own, at least: the bound of R's factanal, where a fit runs into one."""

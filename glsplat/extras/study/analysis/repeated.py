@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from scipy.linalg import helmert
 from scipy.special import fdtrc
 
+from glsplat.arrays import F64
+
 from .effects import Effect, averages, hypothesis, kron
 from .table import Table
-
-__all__ = ["FTest", "Split", "contrast_rows", "f_tests", "split"]
-
-F64 = NDArray[np.float64]
 
 NOTHING = 1e-12
 """Sums of squares below this share of the whole are rounding, not variation."""

@@ -19,12 +19,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
-__all__ = ["Factor", "Table", "make_table", "number_of", "read_rows", "read_table"]
-
-F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 MOST_CELLS = 256  # of a design: beyond it no study of people has data

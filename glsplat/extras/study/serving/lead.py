@@ -39,8 +39,6 @@ from glsplat.net.options import NOT_ALLOWED, RequestedOptions
 from glsplat.net.reply import parse_reply
 from glsplat.net.rights import User
 
-__all__ = ["HEADER", "KEYS", "StudyLead", "secrets_of"]
-
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
 HEADER = "X-Glsplat-Study"

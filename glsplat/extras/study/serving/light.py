@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL", "dim"]
-
 FULL = (1.0, 1.0, 1.0)
 """No change."""
 

@@ -25,8 +25,6 @@ from glsplat.extras.study.session import Event, Session
 from glsplat.extras.study.steps import steps_of
 from glsplat.extras.study.store import Store
 
-__all__ = ["PAGE_TIMEOUT_S", "Live", "resumed_at", "wrong_page"]
-
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
 PAGE_TIMEOUT_S = 5.0

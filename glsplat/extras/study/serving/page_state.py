@@ -8,8 +8,6 @@ from glsplat.extras.study.design import Study
 from glsplat.extras.study.questionnaires import Item
 from glsplat.extras.study.serving.live import Live
 
-__all__ = ["for_experimenter", "for_participant"]
-
 
 def for_participant(live: Live) -> dict[str, Any]:
     """Return the current step and what to show and ask."""

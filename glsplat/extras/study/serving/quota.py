@@ -11,8 +11,6 @@ import math
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 
-__all__ = ["MAX_LOG_BYTES", "LinkQuota", "QuotaError"]
-
 MAX_LOG_BYTES = 64 << 20
 """Size of a session's log; an hour of a study with 100 questions writes about 30 kB."""
 RATE_BYTES_S = 4096.0

@@ -16,8 +16,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["MAX_BYTES", "MIN_FREE_BYTES", "Recording"]
-
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
 MAX_BYTES = 16 << 30

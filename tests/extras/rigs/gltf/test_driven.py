@@ -15,8 +15,9 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 from glsplat.tracking.calibration import calibrate
+from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.recording import embedded_recording
-from glsplat.tracking.tracker import Tracker, TrackerConfig
+from glsplat.tracking.tracker import Tracker
 from tests.extras.rigs.gltf.built import FAMILIES, build
 
 SIDES = ("left", "right")
