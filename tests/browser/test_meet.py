@@ -44,6 +44,10 @@ def enter_emulated(open_page: OpenPage, served: Any, query: str, **values: Any) 
     return page
 
 
+def sockets(page: Opened) -> list[str]:
+    return [address for address in page.requests if address.startswith("ws")]
+
+
 def look_left(page: Opened) -> None:
     """Turn the emulated head by a quarter."""
     page.page.mouse.move(200, 200)
@@ -95,6 +99,10 @@ def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPag
     x, y, z, w = np.abs(first.head[3:])
     assert y > 0.99 and max(x, z, w) < 0.05  # half a turn: to +z, where the middle of the room is
     assert first.left[1] < 1.0 and first.right[1] < 1.0 and first.left[0] > 0 > first.right[0]
+    # upright: the server fits the avatar to this height; longer arms would be those of a taller person who bends
+    assert first.head[1] == pytest.approx(0.936 * 1.71, abs=0.01) and "height=1.71" in sockets(page)[-1]
+    hang = [np.linalg.norm(np.subtract(hand[:3], first.head[:3])) for hand in (first.left, first.right)]
+    assert max(hang) < 0.53 * first.head[1]
     assert page.page.is_visible("#emulated-keys")
     page.page.keyboard.press("w")
     page.meanwhile(lambda: sent().head[2] == pytest.approx(0.4, abs=0.02))
@@ -149,12 +157,11 @@ def company(text: str) -> str:
 def test_an_address_brings_people_together_who_see_whom_they_meet(open_page: OpenPage, served: Any) -> None:
     """Whatever is stored; who chose nobody wears what nobody wears, and the page says so."""
     first = visit(open_page, served, {"room": "", "name": "Carl"}, address=f"{served.page}?room=lab&name=Dee")
-    first.until(
-        "document.querySelector('#company').textContent === 'Room lab. You are Dee, as ann. Nobody else is here yet.'"
-    )
+    first.until("document.querySelector('#company').textContent === 'You are Dee, as ann. Nobody else is here yet.'")
     second = visit(open_page, served, address=f"{served.page}?room=lab&name=Eve")
-    second.until(company("Room lab. You are Eve, as bob. Here: Dee."))
-    first.until(company("Room lab. You are Dee, as ann. Here: Eve."))
+    second.until(company("You are Eve, as bob. Here: Dee."))
+    first.until(company("You are Dee, as ann. Here: Eve."))
+    assert first.page.inner_text("#who") == "Room lab"
     assert second.page.get_attribute("#people-1", "aria-pressed") == "true"
     seats = served.server.feature(Rooms)._rooms["lab"]._guests
     ahead = [guest.person.seat[:3, 2] for guest in seats.values()]
