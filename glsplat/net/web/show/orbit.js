@@ -92,7 +92,7 @@ export class Orbit {
   /** Stand for a room: everybody in sight, from over the user's shoulder. */
   standBack(middle, radius) {
     const pan = middle.map((v, i) => v - this.#centre[i]);
-    this.#home = { yaw: 2.45, pitch: 0.2, distance: 2.6 + 2.2 * radius, pan, front: 0 };
+    this.#home = { yaw: 2.75, pitch: 0.2, distance: 2.6 + 2.2 * radius, pan, front: 0 };
     this.#box = null;
     this.reset();
   }
