@@ -76,7 +76,8 @@ def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: 
     page = enter_emulated(open_page, served, "?room=lab&name=Ann")
 
     def met(mirror: bool) -> list[RenderJob]:
-        all_ = [one for one in jobs(served, 2) if one.room is not None and len(one.room.people) == 2]
+        # the third connection: in VR the page connects anew, with the height
+        all_ = [one for one in jobs(served, 3) if one.room is not None and len(one.room.people) == 2]
         return [one for one in all_ if len(one.cameras) == 2 and mirrored(one) == mirror]
 
     def sharp(mirror: bool) -> bool:  # the first pictures are asked for before the others' places are known
@@ -142,7 +143,7 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
         return head() - before
 
     page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
-    page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 2) if one.room))
+    page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 3) if one.room))
     assert np.abs(pinch(2.0)).max() < 0.02  # there is Bob
     look_left(page)
     assert np.abs(pinch(0.1)).max() < 0.02  # too short
