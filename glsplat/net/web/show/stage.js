@@ -149,9 +149,10 @@ export class Stage {
   late(now) {
     const { figures } = this;
     const rate = figures.rate('shown', now);
-    if (!rate || this.renderedBy.by === 'here') return 0; // mouths are the newest (stream/pose.js)
+    if (!rate) return 0;
+    const poses = this.renderedBy.by === 'here'; // mouths are the newest (stream/pose.js)
     // half a period until the other's own picture, whose pose all see in theirs, and half until the next one here
-    return figures.median('age') - figures.median('server wait') + 1000 / rate;
+    return (poses ? figures.median('round trip') : figures.median('age') - figures.median('server wait')) + 1000 / rate;
   }
 
   /** Return the milliseconds between two requests while something moves. */
