@@ -192,7 +192,7 @@ page.status('The server ended the connection: no valid request in time', 'error'
 page.title('A rather long name of somebody', 'Try again now');
 window.settings = settings;
 """
-MOST = {(320, 640): 0.27, (640, 320): 0.27, (3840, 2160): 0.12}
+MOST = {(320, 640): 0.27, (640, 320): 0.27, (960, 600): 0.17, (3840, 2160): 0.12}
 
 
 def test_the_controls_leave_the_window_to_the_avatar(chromium: Any) -> None:

@@ -44,6 +44,10 @@ def enter_emulated(open_page: OpenPage, served: Any, query: str, **values: Any) 
     return page
 
 
+def sockets(page: Opened) -> list[str]:
+    return [address for address in page.requests if address.startswith("ws")]
+
+
 def look_left(page: Opened) -> None:
     """Turn the emulated head by a quarter."""
     page.page.mouse.move(200, 200)
@@ -72,7 +76,8 @@ def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: 
     page = enter_emulated(open_page, served, "?room=lab&name=Ann")
 
     def met(mirror: bool) -> list[RenderJob]:
-        all_ = [one for one in jobs(served, 2) if one.room is not None and len(one.room.people) == 2]
+        # the third connection: in VR the page connects anew, with the height
+        all_ = [one for one in jobs(served, 3) if one.room is not None and len(one.room.people) == 2]
         return [one for one in all_ if len(one.cameras) == 2 and mirrored(one) == mirror]
 
     def sharp(mirror: bool) -> bool:  # the first pictures are asked for before the others' places are known
@@ -95,6 +100,10 @@ def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPag
     x, y, z, w = np.abs(first.head[3:])
     assert y > 0.99 and max(x, z, w) < 0.05  # half a turn: to +z, where the middle of the room is
     assert first.left[1] < 1.0 and first.right[1] < 1.0 and first.left[0] > 0 > first.right[0]
+    # upright: the server fits the avatar to this height; longer arms would be those of a taller person who bends
+    assert first.head[1] == pytest.approx(0.936 * 1.71, abs=0.01) and "height=1.71" in sockets(page)[-1]
+    hang = [np.linalg.norm(np.subtract(hand[:3], first.head[:3])) for hand in (first.left, first.right)]
+    assert max(hang) < 0.53 * first.head[1]
     assert page.page.is_visible("#emulated-keys")
     page.page.keyboard.press("w")
     page.meanwhile(lambda: sent().head[2] == pytest.approx(0.4, abs=0.02))
@@ -134,7 +143,7 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
         return head() - before
 
     page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
-    page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 2) if one.room))
+    page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 3) if one.room))
     assert np.abs(pinch(2.0)).max() < 0.02  # there is Bob
     look_left(page)
     assert np.abs(pinch(0.1)).max() < 0.02  # too short
@@ -149,12 +158,11 @@ def company(text: str) -> str:
 def test_an_address_brings_people_together_who_see_whom_they_meet(open_page: OpenPage, served: Any) -> None:
     """Whatever is stored; who chose nobody wears what nobody wears, and the page says so."""
     first = visit(open_page, served, {"room": "", "name": "Carl"}, address=f"{served.page}?room=lab&name=Dee")
-    first.until(
-        "document.querySelector('#company').textContent === 'Room lab. You are Dee, as ann. Nobody else is here yet.'"
-    )
+    first.until("document.querySelector('#company').textContent === 'You are Dee, as ann. Nobody else is here yet.'")
     second = visit(open_page, served, address=f"{served.page}?room=lab&name=Eve")
-    second.until(company("Room lab. You are Eve, as bob. Here: Dee."))
-    first.until(company("Room lab. You are Dee, as ann. Here: Eve."))
+    second.until(company("You are Eve, as bob. Here: Dee."))
+    first.until(company("You are Dee, as ann. Here: Eve."))
+    assert first.page.inner_text("#who") == "Room lab"
     assert second.page.get_attribute("#people-1", "aria-pressed") == "true"
     seats = served.server.feature(Rooms)._rooms["lab"]._guests
     ahead = [guest.person.seat[:3, 2] for guest in seats.values()]

@@ -103,7 +103,7 @@ import { addTalk } from '/vr/talk/panel.js';
 import { addVoice } from '/vr/voice/panel.js';
 const name = location.hash.slice(1);
 const connection = new Connection(() => ({ room: 'lab', name }));
-const stage = { info: {}, renderedBy: { by: 'server' }, onFrame() {} };
+const stage = { info: {}, renderedBy: { by: 'server' }, onFrame() {}, late: () => 120 };
 const voice = addVoice(document.getElementById('controls'), stage);
 const { talk, offered } = addTalk(document.getElementById('voice'), { connection, voice, stage, relay: false });
 const eyes = [{ viewmat: [1, 0, 0, 0, 0, -1, 0, 1.5, 0, 0, -1, 0, 0, 0, 0, 1], K: [9, 9, 8, 8] }];
@@ -194,6 +194,7 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
     for page in (ann, bob):
         hears(page)
     ann.meanwhile(lambda: any("speaks" in line for line in people(ann)), PATIENCE_S)
+    assert ann.js("peers.at(-1).getReceivers()[0].jitterBufferTarget") == 100  # her page says that lips are 120 ms late
     signals = lab.stats()["talk"]
     before = bob.js("sent()")
     bob.until(f"sent().then((bytes) => bytes > {before + 20_000})", PATIENCE_S)  # of sound, between the pages

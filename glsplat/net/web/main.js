@@ -12,7 +12,7 @@ import { NAME, Settings } from './settings.js';
 import { SPLATS_CACHE, browserStorage } from './storage.js';
 import { Connection } from './stream/connection.js';
 import { Tabs } from './stream/tabs.js';
-import { Calibration } from './track/calibration.js';
+import { Calibration, EYES_OF_STATURE } from './track/calibration.js';
 import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Living } from './track/living.js';
 import { Recorder } from './track/recorder.js';
@@ -21,6 +21,7 @@ import { STRIDE, Steps, TURN } from './track/steps.js';
 const TOKEN = 'glsplat.token'; // in this tab's storage only
 const SOON = 2000; // ms between requests to a server that still loads avatars
 const NUMBERS = 500; // ms between updates of the figures
+const STATURE = 1.71; // metres, of who wears an emulated headset, unless given
 const CIRCLE = 1.2; // metres from the middle of a room to its seats, at least
 const ENOUGH = 15; // pictures a second below which the page shows a note
 const SIZES = [512, 768, 1024, 1536]; // sides of a square picture; others have as many pixels
@@ -34,7 +35,7 @@ const calibration = new Calibration();
 const recorder = new Recorder();
 const connection = new Connection(() => ({
   avatar: settings.get('room') && !settings.chosen('avatar') ? '' : chosenAvatar()?.name ?? settings.get('avatar'), // '': the room's choice
-  height: settings.get('height') ?? measured?.height,
+  height: stature(),
   span: measured?.span,
   room: settings.get('room'),
   name: settings.get('room') ? settings.get('name') : '',
@@ -42,6 +43,7 @@ const connection = new Connection(() => ({
 }));
 let measured = calibration.load(); // {height, eyes, span, floor} of the user, in metres, or null
 let offer = null; // answer of GET /session
+let emulates = false; // a headset
 let ownRecording = null; // samples of the user's file
 
 if (!gl) {
@@ -329,15 +331,22 @@ async function text(path) {
   return response.text();
 }
 
+/** Return the user's height in metres; undefined: the server estimates it. */
+const stature = () => settings.get('height') ?? measured?.height ?? (emulates ? STATURE : undefined);
+
 /** Emulate a headset for whoever has none. */
 async function emulated() {
   const { emulate } = await import('./emulate/emulate.js'); // 260 kB
+  emulates = true;
   emulate(canvas, {
+    eyes: () => EYES_OF_STATURE * stature(),
     step: (...strides) => immersive.step(...strides),
     point: (at) => (immersive.pointer = at),
     click: () => immersive.click(),
     end: () => immersive.end(),
+    rest: (now) => immersive.rest(now),
   });
+  if (connection.state !== 'off') connection.restart(); // the address of /ws has the height
   page.xr(await support());
 }
 
@@ -379,14 +388,16 @@ function toggleRecording() {
 
 /** Show the state in words, and a button for what the user can do about it. */
 function tell() {
-  const words = { off: 'Not connected', connecting: 'Connecting…', open: 'Connected', waiting: 'Not connected' };
+  const met = company();
+  const words = { off: 'Not connected', connecting: 'Connecting…', open: met ? '' : 'Connected', waiting: 'Not connected' };
   const where = immersive.mode ? ` In ${immersive.mode.toUpperCase()}.` : '';
   const elsewhereOpen = gone || (taken && taken === person()) ? 'You are in this room in another tab.' : '';
   const said = (connection.state !== 'open' && elsewhereOpen) || (stage.notice ? capital(stage.notice) : stage.link || words[connection.state]);
-  page.status(said + where, stage.notice ? 'error' : 'info');
+  page.status((said + where).trim(), stage.notice ? 'error' : 'info');
   const waits = gone || (connection.state === 'waiting' && connection.problem !== 'token');
-  page.title(titleOf(chosenAvatar()?.name) || 'glsplat', waits ? (elsewhereOpen ? 'Continue here' : 'Try again now') : '');
-  page.company(company());
+  const who = met ? `Room ${met.room}` : titleOf(chosenAvatar()?.name) || 'glsplat';
+  page.title(who, waits ? (elsewhereOpen ? 'Continue here' : 'Try again now') : '');
+  page.company(met);
 }
 
 /** Show a message for some seconds, on the page and in the room. */

@@ -35,7 +35,8 @@ export class Page extends EventTarget {
 
   /** How much of the picture the head and the dock lie over, CSS pixels. */
   covered() {
-    return { top: this.#get('top').offsetHeight / 2, right: 0, bottom: this.#get('dock').offsetHeight, left: 0 };
+    const part = this.#get('company').hidden ? 0.5 : 1; // one avatar is beside the head, names of many are anywhere
+    return { top: part * this.#get('top').offsetHeight, right: 0, bottom: this.#get('dock').offsetHeight, left: 0 };
   }
 
   /** What there is to say of how fast pictures of this size are; '' for nothing. */
@@ -43,7 +44,7 @@ export class Page extends EventTarget {
     this.#get('size-note').textContent = text;
   }
 
-  /** Whose the avatar is, and what there is to be done about what `status` says: the button's words, or ''. */
+  /** Whose the avatar is, or which room it is, and what there is to be done about what `status` says: the button's words, or ''. */
   title(who, again = '') {
     const button = this.#get('again');
     if (this.#get('who').textContent !== who) this.#get('who').textContent = who;
@@ -51,11 +52,11 @@ export class Page extends EventTarget {
     button.hidden = !again;
   }
 
-  /** In which room the user is, as whom, and with whom: {room, name, avatar, others: [{name, speaks}]}; null: alone. */
+  /** As whom the user is in a room, and with whom: {name, avatar, others: [{name, speaks}]}; null: alone. */
   company(met) {
     this.#get('company').hidden = this.#get('invite').hidden = !met;
     if (!met) return;
-    const you = `Room ${met.room}. You are ${met.name}, as ${met.avatar}.`;
+    const you = `You are ${met.name}, as ${met.avatar}.`;
     const others = met.others.map(({ name, speaks }) => (speaks ? `${name} (speaking)` : name)).join(', ');
     const text = `${you} ${others ? `Here: ${others}.` : 'Nobody else is here yet.'}`;
     if (this.#get('company').textContent !== text) this.#get('company').textContent = text;

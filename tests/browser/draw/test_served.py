@@ -158,6 +158,8 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   said.push([choice.asks('', 2000)]);
   choice.measured(50, 30, 2000); // 20 a second against 30
   said.push([choice.here, choice.reason, choice.asks('', 2001), choice.asks('', 62001)]);
+  const rested = [choice.rests(2001), choice.rests(62001)]; // no frames are left out while rates are compared
+  run(choice, 2001, 6000, 12); // some are left out: that is not the page's rate
   choice.measured(8, 30, 62001);
   said.push([choice.here, choice.reason]);
   run(choice, 62001, 70000, 70);
@@ -171,8 +173,10 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   one.measured(100, 30, 2000); // slower, but wished
   run(one, 2000, 12000, 10);
   said.push([one.here]);
+  rested.push(one.rests(12000));
   one.wish = 'server';
   said.push([one.here, one.asks('', 1e9)]);
+  rested.push(one.rests(12000));
   const loaded = new Choice('auto'); // a page without a GPU: 12 frames a second with the room, pictures at 4
   run(loaded, 0, 4000, 12);
   loaded.measured(250, 4, 4000); // the people alone at 4 a second: no gain with the room
@@ -187,7 +191,7 @@ import('/vr/draw/choice.js').then(({ Choice }) => {
   said.push([lost.here, lost.reason]);
   const failed = new Choice('here');
   failed.measured(Infinity, 1, 0);
-  said.push([failed.here]);
+  said.push([failed.here], rested);
   return said;
 })
 """
@@ -205,6 +209,7 @@ def test_the_choice(bench: Bench) -> None:
     assert said[9] == [False] and said[10] == [True, "8 pictures a second here, 4 from the server"]
     assert said[11] == [True, "10 pictures a second here, 4 from the server"]
     assert said[12] == [False, "this browser has no WebGL 2"] and said[13] == [False]
+    assert said[14] == [True, False, False, True]
 
 
 def test_two_people_in_a_room_are_drawn_by_each(visit: Callable[..., Opened], serve: Any) -> None:

@@ -2,25 +2,28 @@
 
 import { XRDevice, metaQuest3 } from './iwer.min.js';
 
-const EYES = 1.6; // metres
 const TURN = 0.004; // radians a pixel
 const STILL = 4; // pixels that the pointer of a click moves at most
 const PACE = 150; // ms between two steps of a key that is held
+const LIVELY = 300; // ms for which every frame of the display is drawn after an input
+const REST = 250; // ms between two frames without one, at most
 const WAYS = { w: [1, 0], s: [-1, 0], a: [0, -1], d: [0, 1] };
 const KEYS = [
   ['Drag', 'look around'], ['W A S D', 'step'], ['H', 'raise or drop your hands'], ['T, held', 'pinch: an arc to the floor, to step there'], ['Click', 'press the panel: beside the mirror, else at your left hand'],
   ['V', 'one eye or both'], ['Esc', 'leave'],
 ];
 
-// [right of the head, over it, behind it] in metres and a quaternion x y z w; hanging hands have their fingers down
+// [right of the head, over it, behind it] of the height of the eyes, and a quaternion x y z w; hanging hands have their
+// fingers down
 const HANDS = {
-  down: { left: [[-0.23, -0.93, 0.06], [-0.5, 0.5, 0.5, 0.5]], right: [[0.23, -0.93, 0.06], [-0.5, -0.5, -0.5, 0.5]] },
-  raised: { left: [[0.16, -0.13, -0.6], [0, 0, 0, 1]], right: [[0.36, -0.25, -0.5], [0, 0, 0, 1]] }, // the panel beside the left one is in sight
+  down: { left: [[-0.14, -0.47, 0.04], [-0.5, 0.5, 0.5, 0.5]], right: [[0.14, -0.47, 0.04], [-0.5, -0.5, -0.5, 0.5]] },
+  raised: { left: [[0.1, -0.08, -0.375], [0, 0, 0, 1]], right: [[0.225, -0.156, -0.313], [0, 0, 0, 1]] }, // the panel beside the left one is in sight
 };
 
 /**
- * Install it; `canvas` then shows what both eyes see. `user` is what a session does: {step(forth, right), point([x, y,
- * eye] or null), click(), end()}.
+ * Install it; `canvas` then shows what both eyes see. `user` is who wears it, `eyes()` metres over the floor, and what a
+ * session does: {eyes(), step(forth, right), point([x, y, eye] or null), click(), end(), rest(now)}; `rest` returns
+ * whether a frame of the display may be left out.
  */
 export function emulate(canvas, user) {
   const device = new XRDevice(metaQuest3, { ipd: 0.063, stereoEnabled: true });
@@ -28,17 +31,24 @@ export function emulate(canvas, user) {
   mendOffsets();
   device.primaryInputMode = 'hand';
   device.canvasContainer.append(keysOf());
-  let [yaw, pitch, hands, stepped, dragged] = [0, 0, 'down', 0, 0];
+  let [yaw, pitch, hands, stepped, dragged, moved, drawn] = [0, 0, 'down', 0, 0, 0, 0];
   const move = () => {
-    device.position.set(0, EYES, 0);
+    const eyes = user.eyes();
+    device.position.set(0, eyes, 0);
     device.quaternion.set(...turned(yaw, [Math.sin(pitch / 2), 0, 0, Math.cos(pitch / 2)]));
     for (const [side, [[x, y, z], turn]] of Object.entries(HANDS[hands])) {
       const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
-      device.hands[side].position.set(c * x + s * z, EYES + y, c * z - s * x);
+      device.hands[side].position.set(eyes * (c * x + s * z), eyes * (1 + y), eyes * (c * z - s * x));
       device.hands[side].quaternion.set(...turned(yaw, hands === 'raised' ? [Math.sin(pitch / 2), 0, 0, Math.cos(pitch / 2)] : turn));
     }
   };
   move();
+  for (const type of ['pointerdown', 'pointermove', 'pointerup', 'keydown', 'keyup']) addEventListener(type, ({ timeStamp }) => (moved = timeStamp));
+  leaveOut((now) => {
+    if (device.activeSession && now - moved > LIVELY && now - drawn < REST && user.rest(now)) return true;
+    drawn = now;
+    return false;
+  });
   let hung = false; // before the pinch
   const pinch = (value) => {
     if (value) hung = hands === 'down';
@@ -79,6 +89,16 @@ export function emulate(canvas, user) {
       user.step(...WAYS[key]);
     } else if (Object.hasOwn(actions, key)) actions[key]();
   });
+}
+
+/**
+ * Let IWER, which draws at each frame of the display, leave out those for which `rests(now)` is true: both eyes cost a
+ * software renderer a tenth of a second.
+ */
+function leaveOut(rests) {
+  const next = globalThis.requestAnimationFrame.bind(globalThis);
+  const paced = (then) => next((now) => (rests(now) ? paced(then) : then(now)));
+  globalThis.requestAnimationFrame = paced;
 }
 
 /** A list of the keys, over the picture. */

@@ -1,7 +1,7 @@
 // The camera of the flat page: it circles a point by mouse, touch and keys. Room axes: x right, y up, metres.
 
 const FOV = (40 * Math.PI) / 180; // vertical field of view, radians
-const SLIM = 0.42; // width by height of a view that a person just fits into
+const SLIM = { person: 0.42, room: 1.1 }; // width by height of a view that they just fit into
 const [NEAR, FAR] = [0.05, 100]; // metres
 const START = { yaw: 0, pitch: 0.06, distance: 3.4, centre: [0, 0.95, 0] };
 const PITCH = 1.48; // radians up and down at most
@@ -92,7 +92,7 @@ export class Orbit {
   /** Stand for a room: everybody in sight, from over the user's shoulder. */
   standBack(middle, radius) {
     const pan = middle.map((v, i) => v - this.#centre[i]);
-    this.#home = { yaw: 2.45, pitch: 0.2, distance: 2.6 + 2.2 * radius, pan, front: 0 };
+    this.#home = { yaw: 2.75, pitch: 0.2, distance: 2.6 + 2.2 * radius, pan, front: 0 };
     this.#box = null;
     this.reset();
   }
@@ -164,7 +164,7 @@ export class Orbit {
     const { right, up, back } = this.#axes();
     const place = this.target.map((v, i) => v + this.distance * back[i] + aside * right[i]);
     const transform = [...right, 0, ...up, 0, ...back, 0, ...place, 1];
-    return { eye, transform, projection: projection(viewport, this.#free(viewport)), viewport };
+    return { eye, transform, projection: projection(viewport, this.#free(viewport), this.#home ? SLIM.room : SLIM.person), viewport };
   }
 
   /** The part of a viewport that nothing covers, of 1: {x, y (of its middle, up), width, height}. */
@@ -262,11 +262,11 @@ export class Orbit {
   }
 }
 
-/** An OpenGL projection whose middle is that of the free part of a viewport, which FOV fills: a person fits in its width. */
-function projection({ width, height }, free) {
+/** An OpenGL projection whose middle is that of the free part of a viewport, which FOV fills, in its width what is as `slim`. */
+function projection({ width, height }, free, slim) {
   const aspect = Math.max(width, 1) / Math.max(height, 1);
   const f = free.height / Math.tan(FOV / 2);
-  const narrow = Math.min(1, (aspect * free.width) / free.height / SLIM);
+  const narrow = Math.min(1, (aspect * free.width) / free.height / slim);
   const [a, b] = [(FAR + NEAR) / (NEAR - FAR), (2 * FAR * NEAR) / (NEAR - FAR)];
   return [(f * narrow) / aspect, 0, 0, 0, 0, f * narrow, 0, 0, -free.x, -free.y, a, -1, 0, 0, b, 0];
 }

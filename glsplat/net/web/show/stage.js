@@ -15,12 +15,15 @@ import { Painter } from './painter.js';
 const FIRST = 3000; // ms that the place, and drawing on this device, wait for the first picture
 const PATIENCE = 10_000; // ms that the parts of extras wait for the first picture, unless the connection fails
 const BY_SERVER = { by: 'server', reason: 'the server does not hand out the splats of this avatar' };
+const SURPLUS = 3; // requests for each picture: the server draws the newest, and each costs both sides
+const SLOWEST = 100; // ms between them while something moves, at most
 const COMPLAINT = 4000; // ms for which an error of the server is shown
 
 export class Stage {
   figures = new Figures();
   shownId = 0;
   onFrame = () => {}; // called with the views of each frame
+  onPicture = () => {}; // called when a picture can be shown
   info = {}; // the JSON of the newest reply
   #shown = {}; // that of the pair on the display
   canHide = false; // whether the avatar's head can be hidden
@@ -49,7 +52,10 @@ export class Stage {
     this.painter = new Painter(gl);
     this.framing = new Framing();
     this.pictures = new Pictures({
-      onDecoded: (ms) => this.figures.add('decode', ms),
+      onDecoded: (ms) => {
+        this.figures.add('decode', ms);
+        this.onPicture();
+      },
       onError: (text) => this.complain(text),
     });
     connection.addEventListener('reply', ({ detail }) => this.#received(detail));
@@ -116,7 +122,7 @@ export class Stage {
       this.drawn();
       return sent;
     }
-    const how = { room, keeps, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, keeps: framebuffer === null, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays, for a change back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
@@ -132,6 +138,26 @@ export class Stage {
       this.drawn();
     }
     return sent;
+  }
+
+  /** Return whether frames before the next picture would show nothing new. */
+  rests(now) {
+    return this.shownId > 0 && !this.pictures.ready && (this.here?.choice.rests(now) ?? true);
+  }
+
+  /** Return the milliseconds on average after which movements of others are seen, from when the server had them. */
+  late(now) {
+    const { figures } = this;
+    const rate = figures.rate('shown', now);
+    if (!rate) return 0;
+    const poses = this.renderedBy.by === 'here'; // mouths are the newest (stream/pose.js)
+    // half a period until the other's own picture, whose pose all see in theirs, and half until the next one here
+    return (poses ? figures.median('round trip') : figures.median('age') - figures.median('server wait')) + 1000 / rate;
+  }
+
+  /** Return the milliseconds between two requests while something moves. */
+  pause(now) {
+    return Math.min(SLOWEST, 1000 / (SURPLUS * this.figures.rate('shown', now)));
   }
 
   /** The people of the room, as the server told last: [{name, avatar, you, ...}]. */

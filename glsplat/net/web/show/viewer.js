@@ -4,8 +4,7 @@ import { IDENTITY } from '../space/matrix.js';
 
 const DENSEST = 2; // canvas pixels a CSS pixel
 const KEEP = 1000; // ms between requests while nothing moves
-const SURPLUS = 3; // requests for each picture: the server draws the newest, and each costs both sides
-const SLOWEST = 100; // ms between them while something moves, at most
+const SLOWEST = 100; // ms between frames, at most
 const APART = 8; // ms between two requests at least, where one does not wait for the next frame
 const RESTING = 1500; // ms between frames while others need the machine
 
@@ -22,7 +21,8 @@ export class Viewer {
   #last = ''; // what was asked last
   #asked = 0; // ms
   #drawn = 0; // ms
-  #handle = 0;
+  #handle = 0; // of the next frame of the display, or of the last while some are left out; 0: stopped
+  #timer = 0; // while frames are left out
   covered = () => ({ top: 0, right: 0, bottom: 0, left: 0 }); // CSS pixels of the canvas that something lies over
   rests = () => false; // whether others need the machine: then it draws and asks now and then
   ready = () => true; // whether it is known by now what moves the avatar
@@ -36,6 +36,8 @@ export class Viewer {
     this.#orbit = orbit;
     this.#settings = settings;
     this.#adds = adds;
+    stage.onPicture = () => this.wake();
+    for (const type of ['pointermove', 'wheel', 'keydown']) canvas.addEventListener(type, () => this.wake());
   }
 
   /** Who poses the avatar (track/drivers.js). All go by one clock, so that the server's filters see no leap back. */
@@ -55,16 +57,32 @@ export class Viewer {
 
   stop() {
     cancelAnimationFrame(this.#handle);
-    this.#handle = 0;
+    clearTimeout(this.#timer);
+    [this.#handle, this.#timer] = [0, 0];
+  }
+
+  /** Draw at the next frame of the display, if it was to be left out. */
+  wake() {
+    if (this.#timer) this.start();
   }
 
   #frame(begun) {
-    this.#handle = requestAnimationFrame((later) => this.#frame(later));
+    let pause = 0;
+    try {
+      pause = this.#draw(begun);
+    } finally {
+      if (this.#handle && pause > 0) this.#timer = setTimeout(() => this.start(), pause);
+      else if (this.#handle) this.start();
+    }
+  }
+
+  /** Draw and request. Return the milliseconds for which frames of the display would show and request nothing new. */
+  #draw(begun) {
     const now = Math.max(begun, this.#asked); // a frame may have begun before what was asked between two
-    if (this.rests() && now - this.#drawn < RESTING) return;
+    if (this.rests() && now - this.#drawn < RESTING) return SLOWEST;
     this.#drawn = now;
     const { width, height } = this.#fit();
-    if (!width || !height) return;
+    if (!width || !height) return SLOWEST;
     this.#orbit.inset = this.covered();
     this.#orbit.scale = width / this.#canvas.clientWidth;
     const views = this.#orbit.views(width, height, { stereo: this.#settings.get('stereo') });
@@ -76,7 +94,7 @@ export class Viewer {
     const room = this.#settings.get('room') !== '';
     const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
     // the filters of tracking need every frame
-    const pause = !moves ? KEEP : drive.tracking ? 0 : Math.min(SLOWEST, 1000 / (SURPLUS * this.#stage.figures.rate('shown', now)));
+    const pause = !moves ? KEEP : drive.tracking ? 0 : this.#stage.pause(now);
     const asks = this.ready() && now - this.#asked >= pause;
     const shown = this.#stage.shownId;
     if (this.#stage.frame(views, room ? IN_ROOM : HERE, drive, { alpha: true, keeps: true, room: true, asks, now })) {
@@ -85,6 +103,7 @@ export class Viewer {
     }
     const box = room ? this.#stage.ownBox : this.#stage.info.box;
     if (this.#stage.shownId !== shown && box) this.#orbit.follow(box);
+    return drive.tracking || !this.#stage.rests(now) ? 0 : Math.min(SLOWEST, this.#asked + pause - now);
   }
 
   /** Who speaks is not to wait for the next frame. What is tracked does: its filters want frames' times. */

@@ -55,6 +55,8 @@ export class Immersive {
   #stood = null; // after that, before the user made steps
   #views = []; // of the last frame
   #head = null; // in it: room from head
+  #sample = null; // of it, without the mouth
+  #asked = 0; // ms, when a sample was sent last
   #stepped = 0; // ms
   #where = null;
   #again = false; // place the view anew
@@ -108,6 +110,24 @@ export class Immersive {
     return this.#session?.end();
   }
 
+  /**
+   * Send the sample of the last frame again, in time, in place of a frame that would show nothing new. Return false if
+   * there are reasons for a frame.
+   */
+  rest(now) {
+    const { calibration, recorder } = this.#tools;
+    if (!this.#sample || this.#again || calibration.running || recorder.recording || this.#arc.source || !this.#stage.rests(now)) return false;
+    if (now - this.#asked >= this.#stage.pause(now)) {
+      this.#asked = now;
+      this.#stage.askAgain(this.#drive(this.#tools.speaks(this.#sample), now), now);
+    }
+    return true;
+  }
+
+  #drive(sample, now) {
+    return this.#tools.driven() ? { tracking: sample, t: now } : {};
+  }
+
   /** Tell the user for some seconds. */
   say(text, ms = 3000) {
     this.#message = { text, until: performance.now() + ms };
@@ -136,7 +156,7 @@ export class Immersive {
 
   #ended(session) {
     if (session !== this.#session) return;
-    this.#session = null;
+    this.#session = this.#sample = null;
     this.#estimate.stop();
     this.mode = '';
     this.#stage.clear();
@@ -157,24 +177,24 @@ export class Immersive {
     }));
     const head = viewer.transform.matrix;
     if (!this.#where || this.#again) this.#placeView(head);
-    const sample = this.#tools.speaks(sampleOf(frame, this.#space, viewer));
+    const tracked = sampleOf(frame, this.#space, viewer);
     const lower = drivenBodyOf(frame, this.#space);
-    if (lower) sample.body = lower;
+    if (lower) tracked.body = lower;
+    const sample = this.#tools.speaks(tracked);
     this.#use(sample, now, frame);
-    [this.#views, this.#head] = [views, head];
+    [this.#views, this.#head, this.#sample, this.#asked] = [views, head, tracked, now];
     const { hung } = this.#where;
     const where = hung && views.some((eye) => faces(hung.glass, eye)) ? hung : this.#where;
     const { view } = where;
     // the glass of a mirror in no place is black: nothing shows through
     const alpha = this.mode === 'ar' || view !== 'mirror' || this.#settings.get('place') !== 'plain';
-    const drive = this.#tools.driven() ? { tracking: sample, t: now } : {};
     const { framebuffer } = session.renderState.baseLayer;
     const [room, transparent] = [this.mode === 'vr', this.mode === 'ar'];
     const labels = () => this.#labels(frame, head, sample, now);
     this.#stage.display = session.frameRate;
     const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
     const deep = view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
-    this.#stage.frame(views, where, drive, { framebuffer, alpha, transparent, room, around, labels, deep, now });
+    this.#stage.frame(views, where, this.#drive(sample, now), { framebuffer, alpha, transparent, room, around, labels, deep, now });
   }
 
   #placeView(head) {

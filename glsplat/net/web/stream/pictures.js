@@ -41,6 +41,11 @@ export class Pictures {
     this.#next();
   }
 
+  /** Whether `take` has something to return. */
+  get ready() {
+    return this.#ready !== null;
+  }
+
   /**
    * Return the newest decoded {id, info, depth, asked, pictures: [[colour, alpha | null], ...]} once, or null. Then
    * `close` it.

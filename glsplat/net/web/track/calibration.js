@@ -5,7 +5,7 @@ import { browserStorage, keep, readKept } from '../storage.js';
 
 const DURATION = 2000; // milliseconds of standing still
 const KEY = 'glsplat.calibration';
-const EYES_OF_STATURE = 0.936; // eye height / stature (Drillis & Contini 1966)
+export const EYES_OF_STATURE = 0.936; // eye height / stature (Drillis & Contini 1966)
 const LEAST_SAMPLES = 10;
 const STILL = 0.05; // metres the eyes may be from their median
 const FARTHEST = 1e4; // metres: beyond it a position is a fault of the device

@@ -17,7 +17,7 @@ export class Choice {
   #times = []; // ms, frames of the last two seconds
   #begun = null; // ms
   #slow = null; // ms, start of being too slow
-  #until = 0; // ms, time of the next try
+  #until = 0; // ms, time of the next try; before it the server draws
   #pause = PAUSE;
 
   /** `wish`: a value of the setting `drawn`. */
@@ -44,6 +44,11 @@ export class Choice {
 
   get display() {
     return this.#display;
+  }
+
+  /** Whether the server draws, and will after its next picture: a frame before that may be left out. */
+  rests(now) {
+    return !this.here && (this.#wish === 'server' || now < this.#until);
   }
 
   /**
@@ -73,6 +78,10 @@ export class Choice {
   /** Count a frame of the display at `now`, ms. */
   frame(now) {
     this.#begun ??= now;
+    if (this.rests(now)) { // the rate is not that of which the page is able
+      this.#times = [];
+      return;
+    }
     this.#times.push(now);
     while (this.#times[0] < now - 2000) this.#times.shift();
     const span = now - this.#times[0];

@@ -5,6 +5,8 @@ const PATIENCE = 12_000; // ms without a path before the user is told
 const AGAIN = 5000; // ms between attempts to find a path
 const MOST = 40; // signals of a message that are read
 const SMOOTH = 0.03; // s, time constant of movements
+// ms: how far a voice may be before its lips (half of what is noticed, ITU-R BT.1359), and may be held back for that
+const [EARLIEST, LONGEST] = [20, 250];
 const SPACE = { panningModel: 'HRTF', distanceModel: 'inverse', refDistance: 1, rolloffFactor: 1 }; // 6 dB for twice as far
 
 export class Peer {
@@ -15,6 +17,7 @@ export class Peer {
   #offers;
   #send;
   #changed;
+  #receiver = null;
   #sender = null;
   #track = null; // of our microphone
   #element = null;
@@ -33,7 +36,8 @@ export class Peer {
     const pc = (this.#pc = new RTCPeerConnection(configuration));
     pc.onicecandidate = ({ candidate }) => candidate && this.#post({ candidate });
     pc.onconnectionstatechange = () => this.#look(pc.connectionState);
-    pc.ontrack = ({ track: theirs }) => {
+    pc.ontrack = ({ track: theirs, receiver }) => {
+      this.#receiver = receiver;
       const stream = new MediaStream([theirs]);
       this.#element = Object.assign(new Audio(), { srcObject: stream, muted: true }); // else Chromium plays nothing (crbug.com/933677)
       context.createMediaStreamSource(stream).connect(this.meter);
@@ -60,6 +64,11 @@ export class Peer {
   place([x, y, z]) {
     const { positionX, positionY, positionZ, context } = this.out;
     [positionX, positionY, positionZ].forEach((to, i) => to.setTargetAtTime([x, y, z][i], context.currentTime, SMOOTH));
+  }
+
+  /** Hold the voice back, together with the network's jitter, for lips that are seen `late` ms after they moved. */
+  wait(late) {
+    if (this.#receiver) this.#receiver.jitterBufferTarget = Math.min(LONGEST, Math.max(0, late - EARLIEST));
   }
 
   close() {

@@ -142,6 +142,7 @@ export class Talk extends EventTarget {
     for (const [id, meter, name] of [[0, this.#meter, ''], ...[...this.peers].map(([id, { meter, name }]) => [id, meter, name])]) {
       if (meter && loudness(meter) > LOUD) this.#speaking(id, name, true, now + HOLD);
       else if (now > (this.#speaks.get(id) ?? now)) this.#speaking(id, name, false);
+      this.peers.get(id)?.wait(this.#stage.late(now));
     }
   }
 
