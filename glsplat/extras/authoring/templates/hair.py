@@ -11,14 +11,15 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
-from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.paint.head import ears_of
+from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.templates.hair_mask import SeenHair
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.extras.authoring.templates.library import template
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MIN_AGREEMENT", "FittedHair", "carved", "fit_hair", "scattered"]
+__all__ = ["MIN_AGREEMENT", "FittedHair", "bare_ears", "carved", "fit_hair", "scattered"]
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -45,6 +46,8 @@ _BEHIND_SHOULDERS_M = 0.12  # that long hair goes on where the front loses it
 _MAX_LOCK_M = 0.03  # from that end
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
 _HAIR_PLAY_M = 0.006
+_EAR_VISIBILITY, _EAR_PLAY_M = 0.15, 0.004
+_TURNED_COSINES = 0.8, 0.95  # of a head to the camera: a turned one's outline is not that of its sides
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
 _CHAIN = ("spine1", "spine2", "spine3", "head")  # that hair follows, by height
 
@@ -150,7 +153,8 @@ def scattered(mesh: RiggedMesh, count: int, rng: np.random.Generator) -> tuple[S
 def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict, and which it may show.
 
-    Points before skin or clothes that the picture shows go, so do those outside its outline and above a hat's rim.
+    Points before skin or clothes that the picture shows go, so do those outside its outline, above a hat's rim, and
+    over ears that it shows bare.
     Long hair ends where the seen hair does, or a hand's breadth lower, where it goes behind the shoulders.
     """
     there = head.camera(points)
@@ -166,7 +170,20 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     stays = inside & (hair | ~(front | facing)) & (flat[:, 1] > _hair_end(seen) + locks)
     if seen.hat is not None:
         stays &= flat[:, 1] < seen.hat
+    for ears in bare_ears(head, seen):
+        ear = head.bare[ears]
+        side = np.sign(ear[0, 0])
+        beside = np.flatnonzero(stays & (side * points[:, 0] > (side * ear[:, 0]).min()))
+        near = cKDTree(ear[:, 1:]).query(points[beside, 1:], distance_upper_bound=_EAR_PLAY_M)[0] < _EAR_PLAY_M
+        stays[beside[near]] = False
     return stays, front | hair
+
+
+def bare_ears(head: HeadView, seen: SeenHair) -> list[Bools]:
+    """Return [V] the vertices of each ear that the picture shows mostly free of hair."""
+    shown = head.shot.visibility > _EAR_VISIBILITY
+    hairy = value_at(seen.mask, head.shot.view.pixels)
+    return [ears for ears in ears_of(head.body) if 2 * (ears & shown & hairy).sum() < (ears & shown).sum()]
 
 
 def _hair_end(seen: SeenHair) -> float:
@@ -245,6 +262,8 @@ def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> tuple[F64, floa
     hangs = 1 - smoothstep(flat[:, 1], sizes.chin - 0.03, sizes.eyes)
     deep = 1 + (1 - hangs) * (wide.clip(0.85, 1.3) - 1)
     wide = wide + hangs * (wide.clip(0.85, 1.2) - wide)
+    straight = ramp(-head.rotation[2, 2], *_TURNED_COSINES)
+    wide, deep = 1 + straight * (wide - 1), 1 + straight * (deep - 1)
     centre = np.array([0.0, sizes.eyes_rest, head.middle[2]])
     return centre + (where - centre) * np.stack([wide, tall, deep], axis=1), float(np.abs(scales - 1).mean())
 

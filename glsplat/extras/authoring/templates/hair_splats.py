@@ -11,13 +11,14 @@ from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
-from glsplat.extras.authoring.paint.head import ears_of
+from glsplat.extras.authoring.paint.head import vertices_of
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.paint.skin_tone import likeness, unlit
 from glsplat.extras.authoring.sample.cells import Cloud, avatar_of, skin_of, tessellate
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.scatter import PHOTO_SAMPLER
-from glsplat.extras.authoring.templates.hair import FittedHair, carved, scattered
+from glsplat.extras.authoring.templates.hair import FittedHair, bare_ears, carved, scattered
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear, to_srgb
@@ -37,14 +38,17 @@ _SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85)  # less shows cracks, more blurs t
 _POINTS_PER_SPLAT = 32
 _MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
+_HIDDEN_M, _HIDING_M = 0.012, 0.006  # locks so far below the outermost one within so small a patch are never seen
+_HEAD_RADIUS_M = 0.1  # at which such a patch is measured
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
 _CONTRAST = 0.5, 1.3  # of the template's locks against the picture's
 _GUESS_RANGE = 0.35, 2.2  # of brightness against the picture's median
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.75  # of hair's colour, in its own shadow
 _SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
+_SCALP_EDGE_M = 0.012  # below the eyes: from the nearest hair above it
 _MAX_SCALP_SIGMA_M = 0.009  # wider splats would show around the hair
 _BULGE_M = 0.02  # of the dressed head over the bare one
-_MIN_VISIBILITY = 0.15
+_MIN_VISIBILITY, _MIN_THROAT_VISIBILITY = 0.15, 0.5
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -57,7 +61,8 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     stays = carved(head, seen, points)[0]
     share = np.bincount(face, stays) / np.maximum(np.bincount(face), 1)
     stays &= share[face] > _MIN_FACE_FRACTION  # what is left of a carved lock would be dots
-    keep = np.flatnonzero(stays & (rgba[:, 3] > _MIN_ALPHA))
+    stays &= rgba[:, 3] > _MIN_ALPHA
+    keep = np.flatnonzero(stays)[_outermost(head, points[stays])]
     area = float(triangle_areas(mesh.vertices, mesh.faces).sum()) * len(keep) / len(points)
     spots, face, rgba, points = spots.take(keep), face[keep], rgba[keep], _drawn_back(head, points[keep])
     # cards have two sides: the outer one counts
@@ -80,7 +85,7 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     corners = spots.matrix(len(mesh.vertices))
     cloud = Cloud(points, normals, rgb, even, even, 0 * even, corners, skin_of(mesh), area, face)
     made = avatar_of([tessellate(cloud, HAIR_SPLATS, _SAMPLER, rng)], mesh, _SAMPLER.opacity)
-    return merge_avatars(_with_scalp(avatar, hair, points, np.median(own, axis=0)), made)
+    return merge_avatars(_with_scalp(avatar, hair, light, points, np.median(own, axis=0)), made)
 
 
 def covered_by_hair(hair: FittedHair) -> Bools:
@@ -90,7 +95,34 @@ def covered_by_hair(hair: FittedHair) -> Bools:
     points = points[carved(head, hair.seen, points)[0]]
     under = np.zeros(len(head.bare), bool)
     under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
+    under &= ~_ears(hair)
     return under & ((head.shot.visibility < _MIN_VISIBILITY) | value_at(hair.seen.mask, head.shot.view.pixels))
+
+
+def _ears(hair: FittedHair) -> Bools:
+    """Return [V] the vertices of ears that the picture shows bare."""
+    return sum(bare_ears(hair.head, hair.seen), np.zeros(len(hair.head.bare), bool))
+
+
+def _patches(head: HeadView, points: F64) -> tuple[F64, F64]:
+    """Return places [M, 4] in metres that points above one another on the head share, and distances [M] from its axis.
+
+    The axis goes down from the head's middle; points above that are measured from it.
+    """
+    away = points - head.middle
+    below = away[:, 1].clip(None, 0)
+    away[:, 1] -= below
+    far = lengths(away)
+    return np.column_stack([_HEAD_RADIUS_M * away / np.maximum(far, 1e-9)[:, None], below]), far
+
+
+def _outermost(head: HeadView, points: F64) -> Bools:
+    """Return [M] which points no others hide: templates have many layers of locks, and splats are few."""
+    places, far = _patches(head, points)
+    cell = np.unique(np.floor(places / _HIDING_M).astype(np.int64) @ (1, 1 << 16, 1 << 32, 1 << 48), return_inverse=True)[1]
+    top = np.zeros(cell.max(initial=0) + 1)
+    np.maximum.at(top, cell, far)
+    return np.asarray(far > top[cell] - _HIDDEN_M)
 
 
 def _drawn_back(head: HeadView, points: F64) -> F64:
@@ -131,8 +163,8 @@ def _trust(head: HeadView, mask: Bools, there: F64, outwards: F64) -> F64:
     return smoothstep(facing, -0.05, 0.25) * shown * value_at(inner, pixels)
 
 
-def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> Avatar:
-    """Return the avatar whose hair painted on the head is a scalp below the template's ``points``.
+def _with_scalp(avatar: Avatar, hair: FittedHair, light: Lamp, points: F64, colour: F64) -> Avatar:
+    """Return the avatar whose hair painted on the head is a scalp below the template's ``points``, and skin below that.
 
     Cloth below hanging hair becomes as dark. Without both, cracks between locks would shine.
     """
@@ -147,21 +179,29 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     on_hair, visible = value_at(hair.seen.mask, shot.view.pixels), shot.visibility > _MIN_VISIBILITY
     pictured, shown = on_hair[vertex], visible[vertex]
     hairy = ~shown | pictured
-    ears = np.any(ears_of(body), axis=0)
-    if 2 * on_hair[ears & visible].sum() < (ears & visible).sum():
-        hairy &= ~ears[vertex]  # both are skin, as painted
-    hairy &= np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0]) < _SCALP_REACH_M
+    ears = _ears(hair)[vertex]
+    hairy &= ~ears & (np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0]) < _SCALP_REACH_M)
+    moved, sh = avatar.splats.means.copy(), avatar.splats.sh.copy()
+    painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
+    above = cKDTree(_patches(head, points[::4])[0]).query(_patches(head, head.bare[vertex])[0])[0] < _SCALP_EDGE_M
+    nape = (likeness(painted, colour[None]) > 0.5) & ~above & ~shown & ~ears
+    nape &= (head.bare[vertex, 1] < head.sizes.eyes_rest) & (not hair.long and hair.seen.hat is None)
+    hairy &= ~nape
     if hair.long:  # brims, and rims of the outline beside hair
         bulge = lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
         hairy |= bulge & (head.bare[vertex, 2] < shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 2])
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
-    mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]
-    moved, sh = avatar.splats.means.copy(), avatar.splats.sh.copy()
-    moved[mine] += head.bare[vertex] - rest[vertex]
+    drawn = hairy | ears | nape
+    moved[mine[drawn]] += (head.bare - rest)[vertex[drawn]]
+    throat = vertices_of(body, "neck") & (shot.visibility > _MIN_THROAT_VISIBILITY)
+    if nape.any() and throat.any():
+        skin = np.median(unlit(shot, light, throat), axis=0)
+        shade = light.shade(shot.normals[vertex[nape]])
+        sh[mine[nape], 0] = (to_srgb(skin * shade[:, None]) - 0.5) / SH_C0
+    mine, painted, own = mine[hairy], painted[hairy], (shown & pictured)[hairy]
     scales = avatar.splats.scales.copy()
     scales[mine] = np.minimum(scales[mine], _MAX_SCALP_SIGMA_M)
-    painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
     scalp = np.where(own[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
     sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
     behind = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0

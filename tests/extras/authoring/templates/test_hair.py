@@ -8,8 +8,9 @@ from functools import cache
 import cv2
 import numpy as np
 
+from glsplat.extras.authoring.paint.head import ears_of
 from glsplat.extras.authoring.sample.scatter import scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, carved, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import HeadView, head_view
@@ -108,3 +109,16 @@ def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
     assert not face.any()
     back = grown[grown[:, 2] < middle[2]]
     assert back[:, 1].min() < middle[1] - 0.25  # it hangs
+
+
+def test_hair_leaves_bare_ears_free() -> None:
+    hair = fitted("short02")[1]
+    head, ears = hair.head, ears_of(hair.head.body)[0]
+    # behind an ear's front: pictures do not show what is there
+    over = head.bare[ears & (head.shot.visibility < 0.15)] + (0.006, 0.0, 0.0)
+    row, column = head.shot.view.pixels[ears].astype(int).T[::-1]
+    bare, hairy = hair.seen.mask.copy(), hair.seen.mask.copy()
+    bare[row.min() : row.max(), column.min() : column.max()] = False
+    hairy[row.min() - 3 : row.max() + 3, column.min() - 3 : column.max() + 3] = True
+    assert not carved(head, replace(hair.seen, mask=bare), over)[0].any()
+    assert carved(head, replace(hair.seen, mask=hairy), over)[0].mean() > 0.5
