@@ -66,7 +66,9 @@ def with_shoes(body: Body, bare: F64, mesh: RiggedMesh, pair: RiggedMesh) -> Rig
         places[mine] = shaped
         inside |= foot & (height < _HIDDEN_BELOW_M)
         share = np.interp(height, (_HIDDEN_BELOW_M, _ENTERS_BELOW_M), (1, 0)) * foot
-        leg = body.skin & np.isin(body.part, [JOINT_NAMES.index(f"{side}_{name}") for name in ("knee", "ankle", "foot")])
+        leg = body.skin & np.isin(
+            body.part, [JOINT_NAMES.index(f"{side}_{name}") for name in ("knee", "ankle", "foot")]
+        )
         taper = np.interp(height, (rim, rim + _TAPER_M), (1, 0)) * np.interp(worn, _WIDE_HEM_M, (1, 0))
         share = np.maximum(share, taper * leg)
         vertices[: len(bare)] += share[:, None] * (bare - vertices[: len(bare)])

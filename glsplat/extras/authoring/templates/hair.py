@@ -173,7 +173,7 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     for ears in bare_ears(head, seen):
         ear = head.bare[ears]
         side = np.sign(ear[0, 0])
-        beside = np.flatnonzero(stays & (side * points[:, 0] > (side * ear[:, 0]).min()))
+        beside = np.flatnonzero(stays & (side * points[:, 0] > np.median(side * ear[:, 0])))
         near = cKDTree(ear[:, 1:]).query(points[beside, 1:], distance_upper_bound=_EAR_PLAY_M)[0] < _EAR_PLAY_M
         stays[beside[near]] = False
     return stays, front | hair

@@ -119,7 +119,8 @@ def _patches(head: HeadView, points: F64) -> tuple[F64, F64]:
 def _outermost(head: HeadView, points: F64) -> Bools:
     """Return [M] which points no others hide: templates have many layers of locks, and splats are few."""
     places, far = _patches(head, points)
-    cell = np.unique(np.floor(places / _HIDING_M).astype(np.int64) @ (1, 1 << 16, 1 << 32, 1 << 48), return_inverse=True)[1]
+    cells = np.floor(places / _HIDING_M).astype(np.int64) @ (1, 1 << 16, 1 << 32, 1 << 48)
+    cell = np.unique(cells, return_inverse=True)[1]
     top = np.zeros(cell.max(initial=0) + 1)
     np.maximum.at(top, cell, far)
     return np.asarray(far > top[cell] - _HIDDEN_M)
@@ -204,9 +205,10 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, light: Lamp, points: F64, colo
     scales[mine] = np.minimum(scales[mine], _MAX_SCALP_SIGMA_M)
     scalp = np.where(own[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
     sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
-    behind = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0
-    unseen = ~on_head[near] & (behind & (shot.visibility < 0.1))[near] & (means[:, 1] > points[:, 1].min())
-    below = np.flatnonzero(unseen)
-    below = below[tree.query(means[below])[0] < _CLOTH_REACH_M]
-    sh[below, 0] = (to_srgb(_SCALP_SHADE * colour) - 0.5) / SH_C0
+    if hair.long:
+        behind = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0
+        unseen = ~on_head[near] & (behind & (shot.visibility < 0.1))[near] & (means[:, 1] > points[:, 1].min())
+        below = np.flatnonzero(unseen)
+        below = below[tree.query(means[below])[0] < _CLOTH_REACH_M]
+        sh[below, 0] = (to_srgb(_SCALP_SHADE * colour) - 0.5) / SH_C0
     return replace(avatar, splats=replace(avatar.splats, means=moved, scales=scales, sh=sh))
