@@ -115,7 +115,8 @@ def test_hair_leaves_bare_ears_free() -> None:
     hair = fitted("short02")[1]
     head, ears = hair.head, ears_of(hair.head.body)[0]
     # behind an ear's front: pictures do not show what is there
-    over = head.bare[ears & (head.shot.visibility < 0.15)] + (0.006, 0.0, 0.0)
+    over = head.bare[ears & (head.shot.visibility < 0.15)]
+    over[:, 0] = over[:, 0].max() + 0.003
     row, column = head.shot.view.pixels[ears].astype(int).T[::-1]
     bare, hairy = hair.seen.mask.copy(), hair.seen.mask.copy()
     bare[row.min() : row.max(), column.min() : column.max()] = False
