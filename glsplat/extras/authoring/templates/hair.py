@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.paint.head import ears_of
-from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
+from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.templates.hair_mask import SeenHair
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.extras.authoring.templates.library import template
@@ -47,7 +47,6 @@ _MAX_LOCK_M = 0.03  # from that end
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
 _HAIR_PLAY_M = 0.006
 _EAR_VISIBILITY, _EAR_PLAY_M = 0.15, 0.004
-_TURNED_COSINES = 0.8, 0.95  # of a head to the camera: a turned one's outline is not that of its sides
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
 _CHAIN = ("spine1", "spine2", "spine3", "head")  # that hair follows, by height
 
@@ -262,8 +261,6 @@ def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> tuple[F64, floa
     hangs = 1 - smoothstep(flat[:, 1], sizes.chin - 0.03, sizes.eyes)
     deep = 1 + (1 - hangs) * (wide.clip(0.85, 1.3) - 1)
     wide = wide + hangs * (wide.clip(0.85, 1.2) - wide)
-    straight = ramp(-head.rotation[2, 2], *_TURNED_COSINES)
-    wide, deep = 1 + straight * (wide - 1), 1 + straight * (deep - 1)
     centre = np.array([0.0, sizes.eyes_rest, head.middle[2]])
     return centre + (where - centre) * np.stack([wide, tall, deep], axis=1), float(np.abs(scales - 1).mean())
 

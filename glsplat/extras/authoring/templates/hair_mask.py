@@ -21,7 +21,6 @@ Bools = NDArray[np.bool_]
 
 _METRIC = np.array([0.6, 1.0, 1.0], np.float32)  # of CIELAB: light changes lightness more than hue
 _SHADES = (0.35, 0.5, 0.7, 1.0)  # of one colour, in linear light, from above to below the face
-_GREY_CHROMA, _GREY_SHADES = 6.0, (0.7, 1.0)  # of skin in a picture without colours, and of hair there
 _MIN_UNLIKE_SKIN = 13.0  # of a crown with hair, in CIELAB; below it the head is bald
 _MIN_WORN = 18.0  # of hair beside the face
 _MIN_HAT = 20.0  # between a hat and the hair below it
@@ -73,8 +72,7 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     if covered and flank[0] - skin[0] > _MAX_LIGHTER:
         return None
     hair = flank if covered else crown
-    shades = _SHADES if float(np.hypot(*skin[1:])) > _GREY_CHROMA else _GREY_SHADES
-    like = np.min([away(shade) for shade in _shaded(hair, shades)], axis=0)
+    like = np.min([away(shade) for shade in _shaded(hair, _SHADES)], axis=0)
     other = np.min([away(shade) for shade in _shaded(skin, (*_SHADES, 1.3))], axis=0)
     main = _cloths(head, look, box)
     cloths = [cloth for cloth, _ in main if _apart(cloth, hair) > _SAME_AS_CLOTH]
