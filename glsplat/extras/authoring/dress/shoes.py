@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
 __all__ = ["feet_vertices", "with_shoes"]
@@ -21,6 +22,8 @@ _SIDES = (("left", 1.0), ("right", -1.0))
 _SOCK_HEIGHT_M = 0.18  # above the sole: only a template's socks reach so high
 # of the open body's zero shape: the foot below is inside the shoe, and between both heights it enters it
 _HIDDEN_BELOW_M, _ENTERS_BELOW_M = -0.745, -0.705
+_TAPER_M = 0.03  # above a shoe's rim: trousers narrow into it, so that they do not cut through its heel
+_WIDE_HEM_M = 0.02, 0.035  # off the leg: wider hems hang over the shoe
 _FOOT_TOP_M = 0.08  # above the sole: higher up an outline is that of trousers
 _REACH = 1.0, 1.25  # range of a shoe's length and width in the picture, over that of the template on the bare foot
 _OUTLINE_QUANTILES = 0.005, 0.995
@@ -47,6 +50,8 @@ def with_shoes(body: Body, bare: F64, mesh: RiggedMesh, pair: RiggedMesh) -> Rig
     used, faces = np.unique(part.faces[kept], return_inverse=True)
     places, uv = pair.vertices[used], part.uv[kept].copy()
     vertices, inside = mesh.vertices.copy(), np.zeros(len(bare), bool)
+    height, worn = body.vertices[:, 1], lengths(vertices[: len(bare)] - bare)
+    rim = places[:, 1].max()
     for side, sign in _SIDES:
         foot, mine = feet_vertices(body, side), sign * places[:, 0] > 0
         basis = np.column_stack([body.vertices[foot], np.ones(foot.sum())])
@@ -59,8 +64,13 @@ def with_shoes(body: Body, bare: F64, mesh: RiggedMesh, pair: RiggedMesh) -> Rig
             middle = (first + last) / 2
             shaped[:, axis] = middle + (shaped[:, axis] - middle) * np.clip((high - low) / (last - first), *_REACH)
         places[mine] = shaped
-        inside |= foot & (body.vertices[:, 1] < _HIDDEN_BELOW_M)
-        share = ((_ENTERS_BELOW_M - body.vertices[:, 1]) / (_ENTERS_BELOW_M - _HIDDEN_BELOW_M)).clip(0, 1) * foot
+        inside |= foot & (height < _HIDDEN_BELOW_M)
+        share = np.interp(height, (_HIDDEN_BELOW_M, _ENTERS_BELOW_M), (1, 0)) * foot
+        leg = body.skin & np.isin(
+            body.part, [JOINT_NAMES.index(f"{side}_{name}") for name in ("knee", "ankle", "foot")]
+        )
+        taper = np.interp(height, (rim, rim + _TAPER_M), (1, 0)) * np.interp(worn, _WIDE_HEM_M, (1, 0))
+        share = np.maximum(share, taper * leg)
         vertices[: len(bare)] += share[:, None] * (bare - vertices[: len(bare)])
     uv[places[faces.reshape(-1, 3)[:, 0], 0] < 0, :, 0] += 1  # textures repeat: baked side by side
     parts = []

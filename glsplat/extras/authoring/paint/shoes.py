@@ -17,7 +17,7 @@ from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, tria
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
 from glsplat.extras.authoring.paint.picture_layers.layers import rasterize
-from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.paint.skin_tone import face_colour, lab, likeness
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -38,17 +38,20 @@ _SOLE_TOP_M, _UPPER_M, _ANKLE_M, _KNEE_M, _RIM_M = 0.022, (0.04, 0.09), (0.12, 0
 # differences in CIELAB
 _SAME_COLOUR, _OTHER_COLOUR = 13.0, 18.0
 _LIGHT_UPPER, _LIGHTER_SOLE, _COLOURED_UPPER, _DARK_UPPER = 62.0, 25.0, 30.0, 18.0
+_PATTERNED, _PATTERNED_UPPER = 30.0, 25.0  # range of lightness of trainers with a pattern, and their median
 _LEATHER_HUES_DEG = 20.0, 80.0
+_SHADE_QUANTILES = 0.1, 0.9
 _PICTURE_PX = 900  # height of the picture in which occlusion is tested
 _DEPTH_TOLERANCE_M = 0.012
 _VISIBILITY_COSINES = 0.12, 0.42
 _EDGE_FRACTION = 0.0015  # of the person's height: what the mask takes for a sole may be the floor
-_SITES = 12_000  # points at which the template's texture is read
+_SITES = 30_000  # points at which the template's texture is read
 _MAX_SEEN = 700
 _NEAR_M, _ROW_M, _LENGTH_M = 0.015, 0.012, 0.05  # standard deviations of colours around a point, and on the other side
 _ROW_WEIGHT, _USUAL_WEIGHT = 0.03, 0.01  # of colours of the same height and length, and of the usual one
 _TONES, _TONE_SHARPNESS = 4, 3
-_CONTRAST_RANGE = 0.2, 0.7  # of the template's seams, over those in its texture
+_CONTRAST_RANGE = 0.6, 1.0  # of the template's seams, over those in its texture
+_FULL_SEAM, _SEAM_DETAIL = 0.3, 0.6  # of the logarithm of brightness; detail of such seams where no picture looks
 
 
 class Footwear(NamedTuple):
@@ -77,6 +80,7 @@ def footwear_of(body: Body, shot: FittedPicture) -> Footwear:
         return None if rows.sum() < 8 else np.asarray(np.median(linear[rows], axis=0))
 
     upper, sole = colour(feet, _UPPER_M), colour(feet, (-1.0, _SOLE_TOP_M))
+    shades = lab(linear[feet & (height > _UPPER_M[0])])[:, 0]
     ankle, knee = colour(legs, _ANKLE_M), colour(legs, _KNEE_M)
     bare = likeness(linear[feet], skin[None]) > 0.5
     if ankle is not None and likeness(ankle[None], skin[None])[0] > 0.5:  # what is like bare ankles is bare
@@ -93,8 +97,10 @@ def footwear_of(body: Body, shot: FittedPicture) -> Footwear:
         shaft = np.linalg.norm(ankle - upper) < _SAME_COLOUR and np.linalg.norm(ankle - knee) > _OTHER_COLOUR
         if shaft:
             return Footwear("boot", "shoes01")
-    if upper[0] > _LIGHT_UPPER or lighter > _LIGHTER_SOLE or (chroma > _COLOURED_UPPER and not leather):
-        return Footwear("sneaker", "shoes05")
+    patterned = upper[0] > _PATTERNED_UPPER and float(np.ptp(np.quantile(shades, _SHADE_QUANTILES))) > _PATTERNED
+    coloured = chroma > _COLOURED_UPPER and not leather
+    if upper[0] > _LIGHT_UPPER or lighter > _LIGHTER_SOLE or coloured or patterned:
+        return Footwear("sneaker", "shoes02")
     return Footwear("low shoe", "shoes03" if upper[0] < _DARK_UPPER else "shoes01")
 
 
@@ -116,10 +122,12 @@ class ShoePainter:
         """Return [M, 3] sRGB colours, [M] visibility and [M] detail of points on the shoes."""
         linear, visibility, shade = self.sample(points)
         tree, factor = self.seams
-        guess = points.at(self.colour) * factor[tree.query(points.at(self.rest))[1]][:, None] * shade[:, None]
+        seams = factor[tree.query(points.at(self.rest))[1]]
+        guess = points.at(self.colour) * (seams * shade)[:, None]
         rgb = to_srgb(guess + visibility[:, None] * (linear - guess))
         detail = self.shot.detail(self.shot.project(points.at(self.where)))
-        return rgb, visibility, detail * visibility
+        guessed = _SEAM_DETAIL * ramp(np.abs(np.log(seams)), 0.0, _FULL_SEAM)
+        return rgb, visibility, guessed + visibility * (detail - guessed)
 
     def sample(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
         """Return [M, 3] the picture's linear colours, [M] the points' visibility, and [M] their light."""

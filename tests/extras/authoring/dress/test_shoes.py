@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.dress.shoes import feet_vertices, with_shoes
-from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.paint.shoes import footwear_of, shoe_painter
+from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.templates.library import template
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.pictures import to_linear
+from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.paint import scene as made_up
 from tests.extras.authoring.paint.scene import Scene, photographed
 
@@ -59,3 +63,32 @@ def test_shoes_stand_on_the_floor_in_place_of_feet_and_have_their_colour(
     assert 0.05 < (visibility > 0.5).mean() < 0.6
     blue = to_linear(rgb[visibility == 0])
     assert (blue[:, 2] > 3 * blue[:, 0]).mean() > 0.98
+
+
+def test_trousers_narrow_into_shoes_but_wide_hems_hang_over_them() -> None:
+    scene = made_up.photographed("front")
+    body, floor = scene.body, scene.fit.joints[0] - scene.mesh.skeleton.joints[0]
+    bare = body.shaped(scene.fit.betas)[0] - floor
+    leg = body.skin & (body.part == JOINT_NAMES.index("left_knee"))
+    rim = leg & (body.vertices[:, 1] < -0.68)
+    normals = vertex_normals(bare, body.faces)
+    for width, gap in ((0.015, 0.004), (0.06, 0.06)):
+        dressed = replace(scene.mesh, vertices=bare + width * normals)
+        worn = with_shoes(body, bare, dressed, template("shoes01")).vertices[: len(bare)]
+        assert rim.sum() > 10 and abs(np.linalg.norm(worn - bare, axis=1)[rim].max() - gap) < 0.004
+        above = leg & (body.vertices[:, 1] > -0.64)
+        assert np.allclose(worn[above], dressed.vertices[above])
+
+
+def test_shoes_have_twice_the_splats_of_their_area() -> None:
+    scene = made_up.photographed("front")
+    floor = scene.fit.joints[0] - scene.mesh.skeleton.joints[0]
+    shod = with_shoes(scene.body, scene.body.shaped(scene.fit.betas)[0] - floor, scene.mesh, template("shoes02"))
+    points = scatter(shod, 10_000, np.random.default_rng(0)).points
+    area = triangle_areas(shod.vertices, shod.faces)
+    height, middle = points.at(shod.vertices)[:, 1], shod.vertices[shod.faces].mean(axis=1)[:, 1]
+    shoes, legs = (
+        ((low < height) & (height < high)).sum() / area[(low < middle) & (middle < high)].sum()
+        for low, high in ((-1.0, 0.1), (0.2, 0.5))
+    )
+    assert 1.6 < shoes / legs < 2.2
