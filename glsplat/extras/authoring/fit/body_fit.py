@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,10 +71,10 @@ _MIN_PLAIN_COSINE = 0.8  # of normal and offset; vertices below it, in an ear's 
 _MAX_SOLE_M = 0.020  # thickness; more would be height that the body lacks
 _ELBOW_AND_WRIST_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks
 
-# Penalties of a fit: a percent of the mask uncovered, a percent of the height of all landmarks' and of the arms' mean
-# error, an arm that is hidden but visible or the reverse, the arms' direction error, and an unusual stance. Tuned on
-# eight synthetic people in nine poses.
-_PENALTIES, _UNUSUAL_PENALTY = (1.0, 2.0, 0.5, 6.0, 12.0), 2.0
+# Penalties of a pose: a percent of the height of all landmarks' and of the arms' mean error, the arms' direction error,
+# and an unusual stance; of its clothes: a percent of the mask uncovered, and an arm that is hidden but visible or the
+# reverse. Tuned on eight synthetic people in nine poses.
+_POSE_PENALTIES, _UNUSUAL_PENALTY, _DRESSED_PENALTIES = (2.0, 0.5, 12.0), 2.0, (1.0, 6.0)
 _MAX_FRONT_TURN_DEG = 45.0  # of a person whose forearms are both in front of the trunk
 _MIN_OVERLAP, _MAX_LANDMARK_ERROR_PERCENT = 0.88, 2.0  # of a good fit
 
@@ -132,34 +133,55 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     if height is not None and not low <= height <= high:
         raise FormatError(f"a height needs metres from {low} to {high}, not {height:g}")
     body = body or open_body()
-    fits = map_threads(lambda stance: _fit_from(stance, views, height, body), stances_of(views[0], body))
-    fit = min(fits, key=lambda fit_and_penalty: fit_and_penalty[1])[0]
+    starts = map_threads(lambda stance: _posed_from(stance, views, height, body), stances_of(views[0], body))
+    starts.sort(key=lambda start: start.penalty)
+    fit, least = _dressed(starts[0], views, body)
+    for start in starts[1:]:
+        if start.penalty < least:
+            other, penalty = _dressed(start, views, body)
+            fit, least = (other, penalty) if penalty < least else (fit, least)
     lines = [missing_part(fitted.uncertainty, view.side) for fitted, view in zip(fit.views, views, strict=True)]
     missing = [line for line in lines if line]
     return replace(fit, problem="; ".join([fit.problem] * bool(fit.problem) + missing))
 
 
-def _fit_from(stance: PosePrior, views: Sequence[View], height: float | None, body: Body) -> tuple[BodyFit, float]:
-    """Return the fit with a prior of the pose, and its penalty."""
+class _Posed(NamedTuple):
+    """The bare body posed from one stance."""
+
+    solver: BodySolver
+    penalty: float  # of landmarks and stance: clothes only add to it
+
+
+def _posed_from(stance: PosePrior, views: Sequence[View], height: float | None, body: Body) -> _Posed:
+    """Return the bare body fitted with a prior of the pose."""
     solver = BodySolver(body, landmarks(), [view.smaller(MAX_FIGURE_PX) for view in views], height, stance=stance)
     converge(solver)
+    usual = stance is POSED or abs(stance.turn) > MIN_ASIDE_RAD  # people who have turned aside do not pose
+    penalty = 0.0 if usual else _UNUSUAL_PENALTY
+    arm_rows = np.isin(solver.table.numbers, _ELBOW_AND_WRIST_MARKS)
+    for index, (view, error) in enumerate(zip(views, landmark_errors(solver), strict=True)):
+        arms = np.linalg.norm(solver.landmark_errors(index, pixels=True)[arm_rows], axis=1)
+        world = trusted_world(view)
+        direction_error = 0.0 if world is None else arm_direction_error(world, solver.posed(index).joints)
+        percents = error, arms.mean() / solver.views[index].figure * 100
+        penalty += float(np.dot(_POSE_PENALTIES, (*percents, direction_error)))
+    return _Posed(solver, penalty)
+
+
+def _dressed(start: _Posed, views: Sequence[View], body: Body) -> tuple[BodyFit, float]:
+    """Return the fit with clothes, and its penalty."""
+    solver, penalty = start
     poses = [solver.posed(index) for index in range(len(views))]
     rotations = [HINGES.rotations(solver.angles(index)) for index in range(len(views))]
     bare, joints = body.shaped(solver.betas)
     offsets = fit_clothes(body, bare, poses, views)
     fit = assemble_fit(body, bare, joints, offsets, poses, rotations, views, landmark_errors(solver))
-    usual = stance is POSED or abs(stance.turn) > MIN_ASIDE_RAD  # people who have turned aside do not pose
-    penalty, fitted_views = 0.0 if usual else _UNUSUAL_PENALTY, []
-    arm_rows = np.isin(solver.table.numbers, _ELBOW_AND_WRIST_MARKS)
-    for index, (fitted, view) in enumerate(zip(fit.views, views, strict=True)):
-        arms = np.linalg.norm(solver.landmark_errors(index, pixels=True)[arm_rows], axis=1)
+    fitted_views = []
+    for fitted, view in zip(fit.views, views, strict=True):
         hidden = hidden_arms(body, fitted.vertices, fitted.pixels, view.focal, view.mask.shape)
-        percents = (1 - fitted.overlap) * 100, fitted.landmark_error, arms.mean() / solver.views[index].figure * 100
         visible, behind = view.visibility[list(_WRIST_MARKS)], np.array(hidden)
         contradictions = float((visible * behind + (1 - visible) * (1 - behind)).sum())
-        world = trusted_world(view)
-        direction_error = 0.0 if world is None else arm_direction_error(world, fitted.joints)
-        penalty += float(np.dot(_PENALTIES, np.array([*percents, contradictions, direction_error])))
+        penalty += float(np.dot(_DRESSED_PENALTIES, ((1 - fitted.overlap) * 100, contradictions)))
         fitted_views.append(replace(fitted, uncertainty=limb_uncertainty(view, hidden)))
     return replace(fit, views=tuple(fitted_views)), penalty
 
@@ -319,7 +341,8 @@ def assemble_fit(
     for posed, angles, view, error in zip(poses, rotations, views, errors, strict=True):
         where = posed.points(points)
         pixels = projected(where, view.focal, view.centre)[0]
-        covered = overlap(projected_mask(pixels, body.faces, view.mask.shape), view.mask)
+        drawn, bare_head = projected_mask(pixels, body.faces, view.mask.shape), brimless(view.mask, view.figure)
+        covered = max(overlap(drawn, view.mask), overlap(drawn, bare_head))  # brims of hats are not the body's
         place = posed.joints + np.einsum("jik,jk->ji", posed.frames, joints - shaped)
         fitted.append(FittedView(angles, posed.frames[0], place[0], place, where, pixels, covered, error))
         if not np.isfinite(where).all() or covered < _MIN_OVERLAP:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.fit import body_fit
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.landmarks import landmarks
 from glsplat.extras.authoring.fit.solver import BodySolver
@@ -37,6 +39,20 @@ def test_a_made_up_person_is_found_again() -> None:
     assert fit.problem == "" and fit.views[0].overlap > 0.97 and fit.views[0].landmark_error < 0.5
     assert errors(fit.views[0].joints, joints) < 30 and abs(fit.stature / stature - 1) < 0.02
     assert fit.rest.shape == fit.views[0].vertices.shape == open_body().vertices.shape
+
+
+def test_poses_that_clothes_cannot_save_are_not_dressed(monkeypatch: pytest.MonkeyPatch) -> None:
+    view, _, _, fit = plain()
+    posed, dressed, tried = {"a": 3.0, "b": 1.0, "c": 4.5}, {"a": 4.0, "b": 5.0, "c": 0.0}, []
+
+    def with_clothes(start: body_fit._Posed, *_: object) -> tuple[BodyFit, float]:
+        tried.append(start.solver)
+        return replace(fit, problem=str(start.solver)), dressed[str(start.solver)]
+
+    monkeypatch.setattr(body_fit, "stances_of", lambda *_: list(posed))
+    monkeypatch.setattr(body_fit, "_posed_from", lambda stance, *_: body_fit._Posed(stance, posed[stance]))
+    monkeypatch.setattr(body_fit, "_dressed", with_clothes)
+    assert fit_body([view]).problem == "a" and tried == ["b", "a"]
 
 
 def test_one_wrong_landmark_and_a_hidden_hand() -> None:
