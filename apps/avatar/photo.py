@@ -126,6 +126,8 @@ def _one(args: argparse.Namespace) -> int:
     mesh = args.kind == "mesh"
     with progress_bar() as show:
         options = _options(args, show)
+        if not mesh and options.steps and args.using == "builtin" and not available():
+            print(f"glsplat avatar photo: {NUMBA_MISSING}", file=sys.stderr)
         maker = run_in_background(lambda: named(args.using))  # imports in the background
         # plugins are checked before the pictures
         if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
@@ -165,8 +167,6 @@ def _one(args: argparse.Namespace) -> int:
         sign_mine(args.out)
     if not args.json:
         _notes(shots, guessed=True)
-        if not mesh and options.steps and args.using == "builtin" and not available():
-            print(f"glsplat avatar photo: {NUMBA_MISSING}", file=sys.stderr)
     return code
 
 

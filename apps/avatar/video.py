@@ -71,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
     check_name(args.out)
     with progress_bar() as show:
         options = options_of(args, show)
+        if args.kind == "splats" and options.steps and not available():
+            print(f"glsplat avatar video: {NUMBA_MISSING}", file=sys.stderr)
         try:
             made = from_video(
                 *args.frames_from,
@@ -88,8 +90,6 @@ def run(args: argparse.Namespace) -> int:
         code = write(made.content, args, began, _facts(made), words)
     else:
         code = write_mesh(made.content, args, began, _facts(made), words)
-    if isinstance(made.content, Avatar) and options.steps and not available():
-        print(f"glsplat avatar video: {NUMBA_MISSING}", file=sys.stderr)
     if not args.json:
         for line in made.left_out:
             print(line)

@@ -43,6 +43,7 @@ _ROOM_EDGE_PX = 2  # around background, where pixels may be mixed with it
 _ROOM_DEPTH_FRACTION = 0.02  # background lies no deeper in the projected trunk
 _ROOM_REACH_FRACTION, _NEAR_FRACTION = 0.08, 0.03  # background and body colours are taken from
 _MIN_VARIANCE = 16  # of Lab
+_BLUR_SIGMA_PX = 4.0  # at least, in the smaller picture of a wide blur
 _HELD_REACH_FRACTION, _MIN_HELD_FRACTION = 0.06, 0.0012  # to a hand; of the height squared
 _GROW_HELD_FRACTION, _MAX_HELD_GROWTH = 0.08, 4  # around a held thing; of its area
 _BESIDE_FRACTION = 0.012  # between the body and things beside it
@@ -170,12 +171,21 @@ def _background(lab: NDArray[np.uint8], mask: Mask, segment: Labels, label: Labe
 def _colour_distance(colours: NDArray[np.float32], some: Mask, reach: float) -> NDArray[np.float32]:
     """Return [H, W] squared distance of each colour to ``some`` pixels nearby, in standard deviations."""
     weight = some.astype(np.float32)
-    total = cv2.GaussianBlur(weight, (0, 0), reach)
+    total = _blurred(weight, reach)
     known = np.maximum(total, 1e-5)[..., None]
-    mean = cv2.GaussianBlur(colours * weight[..., None], (0, 0), reach) / known
-    spread = cv2.GaussianBlur(colours**2 * weight[..., None], (0, 0), reach) / known - mean**2
+    mean = _blurred(colours * weight[..., None], reach) / known
+    spread = _blurred(colours**2 * weight[..., None], reach) / known - mean**2
     distance = component_sums((colours - mean) ** 2 / (np.maximum(spread, 0) + _MIN_VARIANCE))
     return np.where(total > 2e-3, distance, np.float32(1e6))
+
+
+def _blurred(values: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Return ``values`` [H, W] or [H, W, 3] blurred; wide blurs are made of a smaller picture."""
+    shrink = max(1, int(sigma / _BLUR_SIGMA_PX))
+    height, width = (max(1, side // shrink) for side in values.shape[:2])
+    small = cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), sigma / shrink)
+    return np.asarray(cv2.resize(small, values.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _held_objects(
