@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.front_to_back_transfer import Front
+from glsplat.extras.authoring.paint.front_to_back_transfer import Front, match_to_front
 from glsplat.extras.authoring.paint.inpaint.rows import Rows, in_one_tone
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
@@ -93,6 +94,18 @@ def test_regions_meet_within_triangles() -> None:
         weights = np.tile(np.where(np.arange(3) == corner, 0.98, 0.01), (len(mixed), 1))
         found = cloth.region(SurfacePoints(mixed.astype(np.intp), weights))
         assert (found == own[mixed[:, corner]]).mean() > 0.95
+
+
+def test_a_pattern_goes_on_at_its_scale_around_the_flank() -> None:
+    scene = photographed("front")
+    rest, hip = scene.mesh.vertices, scene.mesh.skeleton.joints[1, 1]
+    there = match_to_front(scene.mesh, trunk_vertices(scene.body)).points[0].at(rest)
+    normals = vertex_normals(rest, scene.mesh.faces)
+    flank = trunk_vertices(scene.body) & (normals[:, 0] > 0.75) & (np.abs(rest[:, 1] - hip - 0.2) < 0.03)
+    assert flank.sum() > 5
+    deep, wide = np.ptp(rest[flank, 2]), np.ptp(there[flank, 0])
+    assert wide > 0.3 * deep, (wide, deep)  # straight through the body it would be one smeared column
+    assert np.abs(there[flank, 1] - rest[flank, 1]).max() < 0.01
 
 
 def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:
