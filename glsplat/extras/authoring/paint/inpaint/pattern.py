@@ -20,7 +20,7 @@ _MIN_CONTRAST = 0.1  # square roots of linear light, between a part's usual colo
 _GARMENT_ROWS, _GARMENT_CONTRAST = 18, 0.15  # rows nearer and more alike than this are the same piece of cloth
 _MIN_PATTERN_ROWS = 8  # fewer are a hem, a strap or a belt
 _SHADING = 0.1  # of folds and shadows, whose differences do not count
-_MIN_OTHER_FRACTION = 0.05  # of a part of patterned cloth that has other colours, but for one: a border of buttons
+_MIN_OTHER_FRACTION = 0.05  # of a part of patterned cloth that has other colours; the middle may be a border of buttons
 _MIN_END_FACTOR = 0.6  # other colours of the first and the last part over the mean of all parts
 _MIN_PART_WEIGHT, _MIN_PARTS = 2.0, 4  # summed visibility of a part; number of such parts
 _OBLIQUE_FACTOR = 0.4  # visibility of one end over the other's: below, only the better visible end counts
@@ -57,7 +57,8 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, visi
         shown = [k for k in range(_PARTS) if weights[k] >= _MIN_PART_WEIGHT]
         other = {k: _other_fraction(difference[parts[k]], own[parts[k]], visibility[parts[k]]) for k in shown}
         tested[index] = len(other) >= _MIN_PARTS
-        if tested[index] and sorted(other.values())[1] > _MIN_OTHER_FRACTION and all(end in other for end in ends):
+        beside = [other[k] for k in other if k != _PARTS // 2]
+        if tested[index] and min(beside) > _MIN_OTHER_FRACTION and all(end in other for end in ends):
             around[index] = min(other[end] for end in ends) > _MIN_END_FACTOR * np.mean(list(other.values()))
     cloth = same.astype(float)
     # by a majority of a garment's visible rows
