@@ -318,7 +318,7 @@ def _cover_shoulders(rows: Rows, where: F64, look: F64, visibility: F64, skin: F
         edge[row] = np.quantile(np.abs(where[strap, 0]), _STRAP_QUANTILE)
         beyond = mine & (np.abs(where[:, 0]) > edge[row])
         bare = beyond & (from_skin < np.minimum(distance, 2 * SAME_COLOUR_DISTANCE))
-        if rows.pattern[row]:
+        if rows.pattern[row] or rows.pattern[below].mean() > 0.5:
             bare &= from_skin < NECKLINE_DISTANCE  # dark patterns may be close to skin
         if visibility[bare].sum() > max(_MIN_BARE_FRACTION * visibility[mine].sum(), visibility[beyond].sum() / 2):
             outer[row] = main_colour(look[bare], visibility[bare])[0]
