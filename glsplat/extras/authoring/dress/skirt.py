@@ -1,7 +1,8 @@
-"""Turn the inner halves of the legs into a skirt, which follows both legs.
+"""Turn the inner halves of the legs into a skirt or the back of a coat, which follow both legs.
 
 The body has no cloth between its legs. If the picture shows cloth there down to a hem, the inner halves of both legs
-become one sheet in front and one behind, from the middle of one leg to the middle of the other.
+become one sheet in front and one behind, from the middle of one leg to the middle of the other. An open coat has the
+one behind. Behind, cloth hangs straight down from the seat.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.dress.coat import coat_hem
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import fully_posed, projected
@@ -35,16 +37,21 @@ _MIN_GOWN_FRACTION = 0.25  # the same for a gown to the floor
 _MIN_COVERED_FRACTION = 0.97  # of the gap, by a skirt
 
 _ROW_M = 0.02
-_BLEND_M = 0.10  # below the crotch, where legs become a sheet
+_BLEND_M, _COAT_BLEND_M = 0.10, 0.04  # below the crotch, where legs become a sheet
+_TAPER_M = 0.15  # above a skirt's hem, where it draws near the legs
 _SEAM_RAD = np.radians(25)  # around a leg's innermost line, where front and back of the sheet meet
 _WEIGHT_BLEND_FACTOR = 1.8  # width over which weights pass from leg to leg, in distances between the knees
 
 
-def dress(body: Body, fit: BodyFit, views: Sequence[View]) -> Dressed:
-    """Return the fitted body as a mesh, with a skirt where the first of ``views``, the front, shows one."""
+def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8]) -> Dressed:
+    """Return the fitted body as a mesh, with a skirt or a coat where the first of ``views``, the front, shows one.
+
+    ``rgb`` [H, W, 3] is the front's picture.
+    """
     dressed = Dressed(dressed_mesh(body, fit), fit.views)
-    hem = hem_of(body, fit, dressed.mesh, views[0])
-    return dressed if hem is None else with_skirt(body, dressed, views, hem)
+    skirt = hem_of(body, fit, dressed.mesh, views[0])
+    hem = coat_hem(body, dressed, rgb, views[0].mask) if skirt is None else skirt
+    return dressed if hem is None else with_skirt(body, dressed, views, hem, open_front=skirt is None)
 
 
 def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | None:
@@ -89,25 +96,30 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
     return float(np.median(mesh.vertices[near, 1])) if near.any() else None
 
 
-def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float) -> Dressed:
-    """Return the dressed body with a skirt down to ``hem``, a height in metres in the zero pose."""
+def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float, open_front: bool = False) -> Dressed:
+    """Return the dressed body with a skirt down to ``hem``, a height in metres in the zero pose.
+
+    With an ``open_front`` it is a coat's back, and the legs stay in front.
+    """
     mesh = dressed.mesh
     rest, joints = mesh.vertices.copy(), mesh.skeleton.joints
+    _hang(body, rest, hem, 0.0 if open_front else _TAPER_M)
     inner = rest.copy()
     skirt = np.zeros(len(rest))  # 0 leg to 1 sheet
+    blend = _COAT_BLEND_M if open_front else _BLEND_M
     for side, sign in (("left", 1.0), ("right", -1.0)):
         leg = _leg(body, side)
         line = joints[[JOINT_NAMES.index(f"{side}_{name}") for name in _LEGS]][::-1]
         crotch = float(np.quantile(rest[leg, 1], 0.98))
-        share = ((crotch - rest[:, 1]) / _BLEND_M).clip(0, 1) * (rest[:, 1] > hem) * leg
-        middle = sign * np.interp(rest[:, 1], line[:, 1], line[:, 0])
-        back, front = _depths(rest, leg)
+        share = ((crotch - rest[:, 1]) / blend).clip(0, 1) * (rest[:, 1] > hem) * leg
+        middle = np.interp(rest[:, 1], line[:, 1], line[:, 0])
+        back, front = (sign_z * _depths(rest, leg, sign_z) for sign_z in (-1.0, 1.0))
         centre = (back + front) / 2
-        across, away = middle - sign * rest[:, 0], rest[:, 2] - centre
+        across, away = sign * (middle - rest[:, 0]), rest[:, 2] - centre
         angle = np.arctan2(np.abs(away), across)  # 0 innermost, a right angle in front of or behind the leg's middle
-        flat = np.minimum(angle / _SEAM_RAD, 1)
+        flat = 1.0 if open_front else np.minimum(angle / _SEAM_RAD, 1)
         angle = ((angle - _SEAM_RAD) / (np.pi / 2 - _SEAM_RAD)).clip(0, 1)
-        sheet = (across > 0) & leg
+        sheet = (across > 0) & leg & ((away < 0) | (not open_front))
         depth = np.where(away > 0, front, back)
         inner[sheet, 0] = (middle * angle)[sheet]
         inner[sheet, 2] = (centre + flat * (depth - centre))[sheet]
@@ -125,8 +137,25 @@ def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float) 
     strongest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, : mesh.joints.shape[1]], axis=1)
     kept = np.take_along_axis(weights, strongest, axis=1)
     mesh = replace(mesh, vertices=rest, joints=strongest, weights=kept / kept.sum(axis=1, keepdims=True))
-    moved = (_moved(mesh, view, fitted, skirt > 0) for view, fitted in zip(views, dressed.views, strict=True))
+    changed = (skirt > 0) | (rest != dressed.mesh.vertices).any(axis=1)
+    moved = (_moved(mesh, view, fitted, changed) for view, fitted in zip(views, dressed.views, strict=True))
     return Dressed(mesh, tuple(moved))
+
+
+def _hang(body: Body, rest: F64, hem: float, taper: float) -> None:
+    """Move what is behind in ``rest`` [V, 3] to where cloth hangs from the seat, less near the ``hem``."""
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        seat = _leg(body, side) | ((body.part == JOINT_NAMES.index("pelvis")) & (sign * rest[:, 0] > 0))
+        back, front, hung = (
+            -_depths(rest, seat, -1.0),
+            _depths(rest, seat, 1.0),
+            -_depths(rest, seat, -1.0, hanging=True),
+        )
+        centre, above = (back + front) / 2, rest[:, 1] - hem
+        share = (above / taper).clip(0, 1) if taper else (above > 0).astype(float)
+        depth = ((rest[:, 2] - centre) / np.minimum(back - centre, -0.01)).clip(0, 1)
+        hanging = rest[:, 2] + share * depth * np.minimum(hung - back, 0)
+        rest[seat, 2] = np.maximum(hanging, np.minimum(rest[:, 2], hung))[seat]  # rows without a vertex behind
 
 
 def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, chosen: NDArray[np.bool_]) -> FittedView:
@@ -136,18 +165,17 @@ def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, chosen: NDArray[np.
     return replace(fitted, vertices=vertices, pixels=projected(vertices, view.focal, view.centre)[0])
 
 
-def _depths(rest: F64, leg: NDArray[np.bool_]) -> tuple[F64, F64]:
-    """Return z of a leg's back and front at each vertex's height, [V] each."""
+def _depths(rest: F64, some: NDArray[np.bool_], sign: float, hanging: bool = False) -> F64:
+    """Return [V] the largest ``sign`` * z of ``some`` [V] vertices at each vertex's height, if ``hanging`` or above."""
     row = np.round(rest[:, 1] / _ROW_M).astype(np.intp)
     row -= row.min()
-    out = []
-    for sign in (-1.0, 1.0):
-        most = np.full(row.max() + 3, -np.inf)
-        np.maximum.at(most, row[leg] + 1, sign * rest[leg, 2])
-        known = np.flatnonzero(np.isfinite(most))
-        most = np.interp(np.arange(len(most)), known, most[known])
-        out.append(sign * ((most[:-2] + most[1:-1] + most[2:]) / 3)[row])
-    return out[0], out[1]
+    most = np.full(row.max() + 3, -np.inf)
+    np.maximum.at(most, row[some] + 1, sign * rest[some, 2])
+    if hanging:
+        most = np.maximum.accumulate(most[::-1])[::-1]
+    known = np.flatnonzero(np.isfinite(most))
+    most = np.interp(np.arange(len(most)), known, most[known])
+    return np.asarray(((most[:-2] + most[1:-1] + most[2:]) / 3)[row])
 
 
 def _leg(body: Body, side: str) -> NDArray[np.bool_]:

@@ -118,7 +118,7 @@ class Painter:
         """Return [M, 3] linear colours where no picture looks, and [M] their detail."""
         body, front = self.body, self.shots[0]
         # the front at the same place where it shows the same cloth, but for the head
-        matched = self.matches.colours(front, points, material.pattern)
+        matched = self.matches.colours(front, points)
         source_shade = self.light.shade(matched.normals)
         ratio = (shade / source_shade).clip(*_SHADE_RATIO_RANGE)
         round_parts = vertices_of(body, *_UNMATCHED)
@@ -127,10 +127,14 @@ class Painter:
         # colours filled into a hole count less than the cloth's, unless that has a pattern
         arms = self.cloth.on_sleeves(points)
         trust = np.where((material.known > 0) & (~material.pattern | arms), trust * matched.known, trust)
+        # folds, shadows and prints of a front have no counterpart behind: plain cloth takes its fine texture only
+        woven = np.where((material.known > 0) & ~material.pattern, trust, 0.0)
+        trust = trust - woven
         covered, colour = self.head.at(points)
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
         plain = np.maximum(points.at(self.plain) + material.known[:, None] * material.colour, 0)
+        plain *= (1 + woven * (matched.weave - 1))[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * matched.linear
         # the other half of the body may show what this one hides

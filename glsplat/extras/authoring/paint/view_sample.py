@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
-from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.segments import trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.picture_layers.fill import centre_prints, disc, fill_hole
-from glsplat.extras.authoring.paint.picture_layers.layers import COARSE, RIM_PX, PictureLayers, rasterize
-from glsplat.extras.authoring.paint.pixels import bilinear, upscale_labels
+from glsplat.extras.authoring.paint.picture_layers.layers import COARSE, PictureLayers
+from glsplat.extras.authoring.paint.pixels import bilinear
 from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums, lengths
@@ -28,7 +25,6 @@ F64 = NDArray[np.float64]
 _DEPTH_TOLERANCE_M = 0.012  # behind the nearest surface
 _VISIBILITY_COSINES = 0.12, 0.42  # of surface to line of sight: invisible, fully visible
 _BACKFACE_COSINES = -0.3, -0.1  # the same for surface on the outline
-_PRINT_SEARCH_PX = 300  # height of the person in the picture searched for prints
 _MAX_COLOUR_REACH_FRACTION = 0.04  # of the height: colours extended farther fade out
 
 
@@ -136,23 +132,26 @@ class FittedPicture:
         visibility *= self.shows_layer(pixels, layer)
         return ViewSample(self.sample(pixels, layer), visibility, self.detail(pixels, layer))
 
-    def sample(self, pixels: F64, layer: NDArray[np.intp] | None = None, without_prints: bool = False) -> F64:
+    def sample(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
         """Return [M, 3] linear light at pixels [M, 2], bilinear; outside a layer, that of its nearest pixel.
 
-        ``layer`` [M]; None for the trunk's. ``without_prints`` removes prints in the middle of the trunk's cloth.
+        ``layer`` [M]; None for the trunk's.
         """
         out = np.zeros((len(pixels), 3))
         for number, each in enumerate(self.picture_layers.layers):
             mine = slice(None) if layer is None else np.flatnonzero(layer == number)
             if (layer is None and number) or not len(pixels[mine]):
                 continue
-            picture = self._without_prints if without_prints and not number else each.picture
-            out[mine] = bilinear(picture, pixels[mine])
+            out[mine] = bilinear(each.picture, pixels[mine])
         return out
 
     def detail(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
         """Return [M] the picture's detail around each pixel [M, 2], from 0, plain, to 1."""
         return np.asarray(self._nearest_pixel(self.picture_layers.details, pixels, layer), np.float64)
+
+    def weave(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
+        """Return [M] the light of the cloth's fine texture at each pixel [M, 2], about 1."""
+        return np.asarray(self._nearest_pixel(self.picture_layers.weaves, pixels, layer), np.float64)
 
     def background(self, pixels: F64) -> F64:
         """Return [M, 3] linear colours of the background nearest to pixels [M, 2]."""
@@ -211,26 +210,3 @@ class FittedPicture:
         nearest = self._nearest_pixel([each.depth for each in self.picture_layers.layers], pixels, layer, COARSE)
         facing = -component_sums(normals * where) / lengths(where)
         return np.where(inside & (where[:, 2] < nearest + _DEPTH_TOLERANCE_M), smoothstep(facing, low, high), 0.0)
-
-    @locked_cached_property
-    def _without_prints(self) -> NDArray[np.float32]:
-        """[H, W, 3] the trunk's picture without the prints that its sides do not show."""
-        front = self.picture_layers.layers[0]
-        if self.segment is None:
-            return front.picture
-        body = open_body()
-        trunk = trunk_vertices(body)
-        rest = self.mesh.vertices
-        faces = self.mesh.faces[trunk[self.mesh.faces].all(axis=1)]
-        scale = min(1.0, _PRINT_SEARCH_PX / self.picture_layers.height)
-        ids, bary = rasterize(self.mesh, self.view.vertices, self.focal, self.mask.shape, faces, scale)
-        place = np.stack([rest[:, 0] / np.maximum(trunk_half_width(rest, trunk), 1e-3), rest[:, 1]], axis=1)
-        at = np.full((*ids.shape, 2), np.nan)
-        at[ids >= 0] = np.einsum("nk,nkc->nc", bary[ids >= 0], place[faces[ids[ids >= 0]]])
-        size = ids.shape[::-1]
-        small = cv2.resize(front.picture, size, interpolation=cv2.INTER_AREA)
-        own = cv2.resize(np.asarray(front.known, np.float32), size, interpolation=cv2.INTER_AREA)
-        own = cv2.erode((own > 0.9).astype(np.uint8), disc(RIM_PX)) > 0
-        prints = upscale_labels(centre_prints(small, at, own).astype(np.intp), self.mask.shape) > 0
-        plain = self.mask & (self.picture_layers.label == 0) & ~prints
-        return fill_hole(front.picture, plain, prints, self.picture_layers.height)

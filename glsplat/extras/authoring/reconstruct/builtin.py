@@ -151,7 +151,7 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     fit = fit_body(views, options.height, body)
     fit = fit_details(fit, views, [people[side] for side in sides], body)
     options.progress("painting", 0.35)
-    mesh, seen = dress(body, fit, views)
+    mesh, seen = dress(body, fit, views, pictures["front"].rgb)
     shots = tuple(
         FittedPicture(
             pictures[side].rgb, masks[side], view.focal, fitted, mesh, arm_segments(body), _arms(people[side])

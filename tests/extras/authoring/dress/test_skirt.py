@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 
+from glsplat.extras.authoring.dress.coat import coat_hem
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed
 from glsplat.extras.authoring.dress.skirt import hem_of, with_skirt
 from glsplat.extras.authoring.fit.view import View
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.made_up import posed_view
+from tests.extras.authoring.paint import scene as made_up
 from tests.extras.authoring.paint.scene import photographed
 
 
@@ -76,6 +80,15 @@ def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
     assert np.allclose(made.weights.sum(axis=1), 1)
     moved = np.linalg.norm(made.vertices - scene.mesh.vertices, axis=1) > 1e-4
     assert 100 < moved.sum() < 0.2 * len(moved)
+    for side, sign in (("left", 1.0), ("right", -1.0)):  # each leg's half stays on its side
+        leg = np.isin(scene.body.part, [JOINT_NAMES.index(f"{side}_{name}") for name in ("hip", "knee")])
+        assert (sign * made.vertices[moved & leg, 0]).min() > -1e-3
+    legs = np.isin(
+        scene.body.part, [JOINT_NAMES.index(f"{side}_{at}") for side in ("left", "right") for at in ("hip", "knee")]
+    )
+    above = made.vertices[:, 1] - hem
+    back = [made.vertices[legs & (np.abs(above - up) < 0.03), 2].min() for up in (0.18, 0.26)]
+    assert back[0] < back[1] + 0.01  # it hangs from the seat, not in between the thighs
     # one leg steps forward: the sheet stays in one piece, the legs of trousers come apart
     stride = np.zeros((55, 3))
     stride[JOINT_NAMES.index("left_hip"), 0] = -0.5
@@ -91,3 +104,27 @@ def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
     assert torn(made) < 0.4 * torn(scene.mesh)
     there = (made.posed(Pose(scene.fit.views[0].rotations)) - made.skeleton.joints[0]) @ scene.fit.views[0].root.T
     assert np.abs(there + scene.fit.views[0].pelvis - seen[0].vertices)[moved].max() < 1e-6
+
+
+def test_an_open_coat_hangs_as_one_surface_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, low = made_up.albedo, 0.35  # heights of the person
+
+    def coat(mesh: RiggedMesh) -> np.ndarray:
+        colours, height = usual(mesh), mesh.vertices[:, 1] / mesh.vertices[:, 1].max()
+        colours[(height > low) & (height < 0.84)] = (0.02, 0.02, 0.03)
+        return colours
+
+    mask, _ = skirted(0.6)
+    plain = photographed("front")
+    assert coat_hem(plain.body, Dressed(plain.mesh, plain.fit.views), plain.shots[0].rgb, mask) is None
+    monkeypatch.setattr(made_up, "albedo", coat)
+    scene = photographed.__wrapped__("front")
+    dressed, front = Dressed(scene.mesh, scene.fit.views), scene.shots[0]
+    hem = coat_hem(scene.body, dressed, front.rgb, mask)
+    assert hem is not None and abs(hem - low * scene.mesh.vertices[:, 1].max()) < 0.03
+    assert coat_hem(scene.body, dressed, front.rgb, front.mask) is None  # the room shows between the legs: trousers
+    made = with_skirt(scene.body, dressed, [view_with(mask)], hem, open_front=True).mesh
+    moved = np.linalg.norm(made.vertices - scene.mesh.vertices, axis=1) > 1e-4
+    assert moved.sum() > 50 and front.visibility[moved].max() < 0.5  # the legs stay in front
+    inner = moved & (np.abs(made.vertices[:, 0]) < 0.01) & (np.abs(made.vertices[:, 1] - hem - 0.1) < 0.04)
+    assert inner.any() and (made.vertices[inner, 2] < scene.mesh.vertices[inner, 2]).all()

@@ -26,6 +26,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     ROW_M,
     SAME_COLOUR_DISTANCE,
     Rows,
+    in_one_tone,
     main_colour,
     rows_of,
     tolerance_of,
@@ -58,11 +59,12 @@ _MIN_GARMENT_ROWS = 10
 _ROW_REACH_M = 0.0125  # to both sides of a row's middle
 _MAX_SAMPLES = 60_000
 _MIN_VISIBILITY, _MIN_FACE_VISIBILITY = 0.3, 0.7
-_MIRRORED_WEIGHT = 0.2  # of a sample from the other half of the body
+_MIRRORED_WEIGHT = 0.2  # of a sample from the other half of the body, but for legs, whose hems are level
 _SIDES, _UNSURE_WEIGHT = (0.3, 0.95), 0.25  # of a trunk's half width, where front and back are alike; weight elsewhere
 _SKIN_DISTANCE = 0.2  # from the face's colour: nearer colours are bare skin
 _FACE_QUANTILES = 0.5, 0.9  # of a face's brightness
 _MIN_STRAP_FRACTION = 0.1  # of a row on the shoulders that is cloth
+_MIN_BARE_FRACTION = 0.15  # of a row on the shoulders that is skin beside a strap
 _ARMPIT_BELOW_SHOULDER_M = 0.07
 _CHEST_M = 0.25  # below the armpits, where the upper garment's colour is taken from
 _STRAP_QUANTILE = 0.95  # of its samples' distances from the middle: a strap's edge
@@ -76,11 +78,15 @@ class Cloth:
     """Colours of garments and bare skin; ``cloth_of`` makes one."""
 
     rest: F64  # [V, 3] the dressed surface in the zero pose
-    region: Ints  # [V] negative: none
+    shares: F64  # [V, R + 1] of each region in a vertex, and of none
     rows: tuple[Rows | None, ...]
     palettes: tuple[cKDTree | None, ...]  # square roots of the colours away from outlines, of patterned regions
     skin: F64 | None  # [3] square root of the face's colour
     armpit: float  # metres of height
+
+    def region(self, points: SurfacePoints) -> Ints:
+        """Return [M] the regions of points; negative: none."""
+        return _region_at(points, self.shares)
 
     @property
     def nape(self) -> F64 | None:
@@ -99,7 +105,7 @@ class Cloth:
 
     def on_sleeves(self, points: SurfacePoints) -> NDArray[np.bool_]:
         """Return [M] which of the points are on arms."""
-        return np.asarray(np.isin(self.region[points.corners[:, 0]], _SLEEVES))
+        return np.asarray(np.isin(self.region(points), _SLEEVES))
 
     def foreign(self, shot: FittedPicture, points: SurfacePoints, linear: F64, shade: F64, material: Material) -> F64:
         """Return [M] from 0 to 1: how surely colours [M, 3] of ``shot`` near an outline belong to something else.
@@ -107,7 +113,7 @@ class Cloth:
         They are unlike the material there, and more like the background beside the person or the body behind an arm.
         """
         out = np.zeros(len(linear))
-        look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region[points.corners[:, 0]]
+        look, mine = np.sqrt(np.maximum(linear / shade[:, None], 0)), self.region(points)
         distance, tolerance = material.distance(look), np.where(material.pattern, MIN_TOLERANCE, material.tolerance)
         for number, palette in enumerate(self.palettes):  # a pattern allows all colours seen away from outlines
             striped = np.flatnonzero(material.pattern & (mine == number))
@@ -135,7 +141,7 @@ class Cloth:
     def at(self, points: SurfacePoints) -> Material:
         """Return the most likely material of the points."""
         count = len(points.corners)
-        where, region = points.at(self.rest), self.region[points.corners[:, 0]]
+        where, region = points.at(self.rest), self.region(points)
         colour, tolerance, known = np.zeros((count, 3)), np.full(count, MIN_TOLERANCE), np.zeros(count)
         pattern, skin = np.zeros(count, bool), np.full((count, 3), np.nan)
         if self.skin is not None:
@@ -161,13 +167,14 @@ class Cloth:
 def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: ViewSample, shade: F64) -> Cloth:
     """Return the rows of the body in ``shot``, from its ``sample`` of ``points`` [M] in a light of ``shade`` [M]."""
     rest = shot.mesh.vertices
-    region = _regions(body)
+    shares = _shares(body, rest)
+    region = np.where(shares.argmax(axis=1) < len(_REGIONS), shares.argmax(axis=1), -1)
     some = np.flatnonzero(sample.visibility > _MIN_VISIBILITY)
     some = some[:: max(1, len(some) // _MAX_SAMPLES)]
     part = points.take(some)
     where, visibility = part.at(rest), sample.visibility[some]
     look = np.sqrt(np.maximum(sample.linear[some] / shade[some, None], 0))
-    mine = region[part.corners[:, 0]]
+    mine = _region_at(part, shares)
     share = np.abs(where[:, 0]) / np.maximum(part.at(trunk_half_width(rest, trunk_vertices(body))[:, None])[:, 0], 1e-3)
     beside = (share > _SIDES[0]) & (share < _SIDES[1])
     visibility = visibility * np.where((mine == _TRUNK) & ~beside, _UNSURE_WEIGHT, 1.0)
@@ -183,7 +190,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         _, axis, other = _REGIONS[number]
         own = region == number
         along = np.abs(rest[own, 0]) if axis == 0 else rest[own, 1]
-        weight = visibility * ((mine == number) + _MIRRORED_WEIGHT * (mine == (-1 if other is None else other)))
+        mirrored = 1.0 if number in _BODY else _MIRRORED_WEIGHT
+        weight = visibility * ((mine == number) + mirrored * (mine == (-1 if other is None else other)))
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
         these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], _ROW_REACH_M)
@@ -217,8 +225,13 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         sleeve, trunk = rows[number], rows[_TRUNK]
         if sleeve is not None and trunk is not None and skin is not None:
             rows[number] = _pattern_sleeve(sleeve, trunk, skin, armpit)
+    for numbers in (_BODY, _SLEEVES, (_NECK,)):
+        known = [number for number in numbers if rows[number] is not None]
+        toned = in_one_tone([each for each in (rows[number] for number in known) if each is not None])
+        for number, each in zip(known, toned, strict=True):
+            rows[number] = each
     palettes = [_palette(row, look[deep & (mine == number)]) for number, row in enumerate(rows)]
-    return Cloth(rest, region, tuple(rows), tuple(palettes), skin, armpit)
+    return Cloth(rest, shares, tuple(rows), tuple(palettes), skin, armpit)
 
 
 def _palette(rows: Rows | None, look: F64) -> cKDTree | None:
@@ -228,12 +241,30 @@ def _palette(rows: Rows | None, look: F64) -> cKDTree | None:
     return cKDTree(look[:: max(1, len(look) // _MAX_PATTERN_COLOURS)])
 
 
-def _regions(body: Body) -> Ints:
-    """Return [V] the region of each vertex; negative: none."""
-    of_joint = np.full(len(JOINT_NAMES), -1, np.intp)
+def _shares(body: Body, rest: F64) -> F64:
+    """Return [V, R + 1] the largest skinning weight of each region's joints, and of those without a region.
+
+    Legs above the crotch are trunk: a shirt's hem is a row there. ``rest`` [V, 3] is the surface in the zero pose.
+    """
+    of_joint = np.full(len(JOINT_NAMES), len(_REGIONS), np.intp)
     for number, (words, _, _) in enumerate(_REGIONS):
         of_joint[[index for index, name in enumerate(JOINT_NAMES) if any(word in name for word in words)]] = number
-    return np.where(body.skin, of_joint[body.part], -1)
+    shares = np.zeros((len(body.vertices), len(_REGIONS) + 1))
+    np.maximum.at(shares, (np.arange(len(shares))[:, None], of_joint[body.skin_joints]), body.skin_weights)
+    crotch = rest[shares.argmax(axis=1) == _TRUNK, 1].min()
+    legs, above = [number for number in _BODY if number != _TRUNK], ramp(rest[:, 1], crotch, crotch + ROW_M)[:, None]
+    shares[:, [_TRUNK]] += above * shares[:, legs].sum(axis=1, keepdims=True)
+    shares[:, legs] *= 1 - above
+    return np.where(body.skin[:, None], shares, np.eye(len(_REGIONS) + 1)[-1])
+
+
+def _region_at(points: SurfacePoints, shares: F64) -> Ints:
+    """Return [M] the regions of points, negative for none; they meet along smooth lines, not along triangles."""
+    of_corner = shares.argmax(axis=1)[points.corners]
+    region = of_corner[:, 0].copy()
+    mixed = np.flatnonzero((of_corner != region[:, None]).any(axis=1))
+    region[mixed] = points.take(mixed).at(shares).argmax(axis=1)
+    return np.where(region < len(_REGIONS), region, -1)
 
 
 def _pattern_sleeve(rows: Rows, trunk: Rows, skin: F64, armpit: float) -> Rows:
@@ -287,9 +318,9 @@ def _cover_shoulders(rows: Rows, where: F64, look: F64, visibility: F64, skin: F
         edge[row] = np.quantile(np.abs(where[strap, 0]), _STRAP_QUANTILE)
         beyond = mine & (np.abs(where[:, 0]) > edge[row])
         bare = beyond & (from_skin < np.minimum(distance, 2 * SAME_COLOUR_DISTANCE))
-        if rows.pattern[row]:
+        if rows.pattern[row] or rows.pattern[below].mean() > 0.5:
             bare &= from_skin < NECKLINE_DISTANCE  # dark patterns may be close to skin
-        if visibility[bare].sum() > max(MIN_ROW_WEIGHT / 3, visibility[beyond].sum() / 2):
+        if visibility[bare].sum() > max(_MIN_BARE_FRACTION * visibility[mine].sum(), visibility[beyond].sum() / 2):
             outer[row] = main_colour(look[bare], visibility[bare])[0]
         elif np.isfinite(edge[:row]).any():
             outer[row] = outer[row - 1]

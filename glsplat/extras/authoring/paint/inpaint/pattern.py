@@ -6,6 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
+
+from glsplat.extras.authoring.dress.coat import unlike
 
 __all__ = ["goes_around"]
 
@@ -15,7 +18,9 @@ _PARTS = 7  # of the visible width
 _END_QUANTILE = 0.02  # of the samples at either end of the width
 _MIN_CONTRAST = 0.1  # square roots of linear light, between a part's usual colour and another one
 _GARMENT_ROWS, _GARMENT_CONTRAST = 18, 0.15  # rows nearer and more alike than this are the same piece of cloth
-_MIN_OTHER_FRACTION = 0.05  # of a part of patterned cloth that has other colours
+_MIN_PATTERN_ROWS = 8  # fewer are a hem, a strap or a belt
+_SHADING = 0.1  # of folds and shadows, whose differences do not count
+_MIN_OTHER_FRACTION = 0.05  # of a part of patterned cloth that has other colours; the middle may be a border of buttons
 _MIN_END_FACTOR = 0.6  # other colours of the first and the last part over the mean of all parts
 _MIN_PART_WEIGHT, _MIN_PARTS = 2.0, 4  # summed visibility of a part; number of such parts
 _OBLIQUE_FACTOR = 0.4  # visibility of one end over the other's: below, only the better visible end counts
@@ -31,7 +36,8 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, visi
     row, across, look, visibility = row[order], across[order], look[order], visibility[order]
     count = len(colour)
     starts = np.searchsorted(row, np.arange(count + 1))
-    part, difference = _parts(starts, across), look - colour[row]
+    part, own = _parts(starts, across), colour[row]
+    difference = look - own
     # rows hidden by arms are skipped: cloth above them goes on below
     number = np.cumsum(np.bincount(row, visibility, minlength=count) > _MIN_PART_WEIGHT)
     first = np.searchsorted(number, number - _GARMENT_ROWS, "left")
@@ -49,24 +55,28 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, visi
         if far_end < _OBLIQUE_FACTOR * near_end:  # a turned person shows one side only
             weights[ends.pop(int(weights[-1] < weights[0]))] = 0.0
         shown = [k for k in range(_PARTS) if weights[k] >= _MIN_PART_WEIGHT]
-        other = {k: _other_fraction(difference[parts[k]], visibility[parts[k]]) for k in shown}
+        other = {k: _other_fraction(difference[parts[k]], own[parts[k]], visibility[parts[k]]) for k in shown}
         tested[index] = len(other) >= _MIN_PARTS
-        if tested[index] and min(other.values()) > _MIN_OTHER_FRACTION and all(end in other for end in ends):
+        beside = [other[k] for k in other if k != _PARTS // 2]
+        if tested[index] and min(beside) > _MIN_OTHER_FRACTION and all(end in other for end in ends):
             around[index] = min(other[end] for end in ends) > _MIN_END_FACTOR * np.mean(list(other.values()))
     cloth = same.astype(float)
     # by a majority of a garment's visible rows
-    return np.asarray(cloth @ around > 0.5 * (cloth @ tested))
+    return binary_opening(cloth @ around > 0.5 * (cloth @ tested), np.ones(_MIN_PATTERN_ROWS, bool))
 
 
-def _other_fraction(difference: F64, visibility: F64) -> float:
-    """Return the fraction of a part's samples [N] not in its usual colour; 0 if that belongs to another garment."""
+def _other_fraction(difference: F64, colour: F64, visibility: F64) -> float:
+    """Return the fraction of a part's samples [N] not in its usual colour; 0 if that belongs to another garment.
+
+    ``difference`` [N, 3] is from the ``colour`` [N, 3] of the sample's row.
+    """
     low, high = (len(difference) - 1) // 2, len(difference) // 2
     middle = np.partition(difference, (low, high), axis=0)
     usual = (middle[low] + middle[high]) / 2  # the median: light falls off to a side
     if np.linalg.norm(usual) > _GARMENT_CONTRAST:
         return 0.0
-    off = difference - usual
-    return float(visibility[np.einsum("nc,nc->n", off, off) > _MIN_CONTRAST**2].sum() / visibility.sum())
+    off = unlike(colour + difference - usual, colour, _SHADING)
+    return float(visibility[off > _MIN_CONTRAST].sum() / visibility.sum())
 
 
 def _parts(starts: NDArray[np.intp], across: F64) -> NDArray[np.intp]:

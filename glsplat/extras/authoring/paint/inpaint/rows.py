@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.authoring.dress.coat import unlike
 from glsplat.rotations import component_sums, lengths
 
 __all__ = [
@@ -15,6 +17,7 @@ __all__ = [
     "ROW_M",
     "SAME_COLOUR_DISTANCE",
     "Rows",
+    "in_one_tone",
     "main_colour",
     "rows_of",
     "tolerance_of",
@@ -37,6 +40,7 @@ SAME_COLOUR_DISTANCE = 0.15
 
 _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_GAP_ROWS = 0.139, 4  # of a row of several colours; to the rows it is compared with
+_TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,3 +116,21 @@ def without_mixed_rows(rows: Rows) -> Rows:
     odd &= np.linalg.norm(rows.colour - before, axis=1) > SAME_COLOUR_DISTANCE
     colour[odd] = (before[odd] + after[odd]) / 2
     return replace(rows, colour=colour, outer=colour)
+
+
+def in_one_tone(parts: Sequence[Rows]) -> list[Rows]:
+    """Return the rows of parts that meet, in the mean colour of those nearby that are alike.
+
+    What light and shadows change down a garment goes.
+    """
+    place = np.concatenate([rows.places for rows in parts])
+    colour = np.concatenate([rows.colour for rows in parts])
+    toned = []
+    for rows in parts:
+        near = np.abs(rows.places[:, None] - place) <= _TONE_M
+        alike = near & np.stack([unlike(colour, own[None]) < _TONE_DISTANCE for own in rows.colour])
+        mean = alike @ colour / alike.sum(axis=1, keepdims=True)
+        outer = np.where(rows.outer == rows.colour, mean, rows.outer)
+        tolerance = rows.tolerance + lengths(mean - rows.colour)
+        toned.append(replace(rows, colour=mean, outer=outer, tolerance=tolerance))
+    return toned

@@ -5,9 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-__all__ = ["centre_prints", "disc", "fill_hole", "nearest_known", "nearest_known_labels"]
+__all__ = ["disc", "fill_hole", "nearest_known", "nearest_known_labels", "weave_of"]
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
@@ -15,13 +14,10 @@ Picture = NDArray[np.float32]
 _FILL_HEIGHT_PX = 360.0  # of the person, where colours are filled
 _REACH_FRACTIONS = (0.012, 0.025, 0.05, 0.1, 0.2)  # of the height; nearer colours first
 _DOWN_TO_ACROSS = 0.12  # of the distances that colours are continued
-_SIDES = 0.7, 0.95  # of a trunk's half width, between which front and back are alike
-_LAB_SCALE, _HEIGHT_SCALE_M = (22.0, 8.0, 8.0), 0.06  # pixels nearer than 1 in these units have the same colour
-_MIN_SIDE_PX = 50
-_SIDE_NEIGHBOURS = 6  # pixels of a side that must share a colour
-_LEVEL_M = 0.5  # up and down, where a side needs pixels
 _GRAIN_FRACTION = 0.012  # of the height: finer detail is grain
 _GRAIN_RANGE = 0.7, 1.4
+_EDGE_DETAIL = 0.4, 0.8  # of a picture: texture, and an edge
+_COARSE = 4  # pixels of a picture to one of those around it
 
 
 def disc(radius: int) -> NDArray[np.uint8]:
@@ -47,32 +43,6 @@ def nearest_known_labels(known: Mask) -> tuple[NDArray[np.int32], NDArray[np.int
     source = np.zeros((2, int(label.max()) + 1), np.intp)
     source[:, label[rows, columns]] = rows, columns
     return np.asarray(label, np.int32), source[0], source[1]
-
-
-def centre_prints(picture: Picture, place: NDArray[np.float64], known: Mask) -> Mask:
-    """Return [H, W] where a trunk has colours missing on one of its sides nearby: prints, ties, openings.
-
-    ``place`` [H, W, 2] is how far each pixel lies to the side, over the half width, and its height in metres; NaN
-    beside the trunk. ``picture`` is linear; sides count where they are ``known``.
-    """
-    aside = place[..., 0]
-    between = np.abs(aside) < _SIDES[1]
-    lab = cv2.cvtColor(np.sqrt(picture.clip(0, 1)), cv2.COLOR_RGB2LAB)
-    features = np.concatenate([lab / np.array(_LAB_SCALE), place[..., 1:] / _HEIGHT_SCALE_M], axis=2)
-    distance = np.zeros(int(between.sum()))
-    for sign in (-1.0, 1.0):
-        at_side = known & (sign * aside > _SIDES[0]) & (sign * aside < _SIDES[1])
-        if at_side.sum() < _MIN_SIDE_PX:
-            continue
-        height, levels = features[between][:, 3], np.sort(features[at_side][:, 3])
-        count = np.searchsorted(levels, height + _LEVEL_M) - np.searchsorted(levels, height - _LEVEL_M)
-        unlike = cKDTree(features[at_side]).query(features[between], _SIDE_NEIGHBOURS)[0][:, -1]
-        distance = np.maximum(distance, np.where(count > 2 * _SIDE_NEIGHBOURS, unlike, 0))
-    found = np.zeros(known.shape, np.uint8)
-    found[between] = distance > 1
-    kernel = np.ones((3, 3), np.uint8)
-    found = cv2.dilate(cv2.morphologyEx(found, cv2.MORPH_OPEN, kernel), kernel, iterations=2)
-    return np.asarray((found > 0) & np.isfinite(aside))
 
 
 def fill_hole(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
@@ -101,6 +71,23 @@ def fill_hole(picture: Picture, known: Mask, hole: Mask, height: float) -> Pictu
     out = picture.copy()
     out[found] = np.clip(smooth[found] * _grain(picture, known, found, height), 0, 1)
     return out
+
+
+def weave_of(picture: Picture, detail: Picture, height: float) -> Picture:
+    """Return [H, W] the light of fine texture in ``picture`` over that around it; 1 near edges, folds and prints.
+
+    ``detail`` [H, W] is that of ``detail_of``; ``height`` is the person's in pixels.
+    """
+    full = detail.shape[1::-1]
+    size = max(1, full[0] // _COARSE), max(1, full[1] // _COARSE)
+    reach = max(_GRAIN_FRACTION * height / _COARSE, 0.5)
+    light = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / 3
+    around = cv2.GaussianBlur(cv2.resize(light, size, interpolation=cv2.INTER_AREA), (0, 0), reach)
+    square = np.ones((2 * round(3 * reach) + 1,) * 2, np.uint8)
+    near = cv2.dilate(cv2.resize(detail, size, interpolation=cv2.INTER_AREA), square)
+    around, near = (cv2.resize(each, full, interpolation=cv2.INTER_LINEAR) for each in (around, near))
+    plain = np.clip((_EDGE_DETAIL[1] - near) / (_EDGE_DETAIL[1] - _EDGE_DETAIL[0]), 0, 1)
+    return np.asarray(1 + plain * (np.clip((light + 0.01) / (around + 0.01), *_GRAIN_RANGE) - 1), np.float32)
 
 
 def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.paint.front_to_back_transfer import Front
+from glsplat.extras.authoring.paint.front_to_back_transfer import Front, match_to_front
+from glsplat.extras.authoring.paint.inpaint.rows import Rows, in_one_tone
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -66,6 +68,58 @@ def test_a_shirts_print_is_not_on_its_back() -> None:
     assert len(back) > 50 and np.abs(hue(back) - hue(SHIRT[None])).max() < 0.12
 
 
+def test_a_shadow_on_the_front_is_not_on_the_back() -> None:
+    scene = photographed("front")
+    points, where, facing = places(scene)
+    chest = (where[:, 0] > 0.02) & (where[:, 0] < 0.08) & (where[:, 1] > 0.62) & (where[:, 1] < 0.76)
+    pixels = scene.shots[0].project(points.at(scene.shots[0].view.vertices))[chest & (facing > 0.5)]
+    (x, y), (right, low) = pixels.min(axis=0).astype(int), pixels.max(axis=0).astype(int)
+    rgb = scene.shots[0].rgb.copy()
+    rgb[(y + low) // 2 : low, x:right] = 0.88 * rgb[(y + low) // 2 : low, x:right]
+    dark, lit = (painter_of(scene.body, [shot], points) for shot in (with_picture(scene, rgb), scene.shots[0]))
+    patch = chest & (where[:, 1] < 0.68)
+    front, back = (
+        np.median(unlit(dark, of(points, patch & some)) / unlit(lit, of(points, patch & some)))
+        for some in (facing > 0.8, facing < -0.5)
+    )
+    assert front < 0.8 and back > 0.88, (front, back)
+
+
+def test_regions_meet_within_triangles() -> None:
+    scene = photographed("front")
+    points, _, _ = places(scene)
+    cloth = painter_of(scene.body, scene.shots, points).cloth
+    own = cloth.shares.argmax(axis=1)
+    mixed = scene.mesh.faces[(np.ptp(own[scene.mesh.faces], axis=1) > 0) & (own[scene.mesh.faces] < 8).all(axis=1)]
+    assert len(mixed) > 50
+    for corner in range(3):
+        weights = np.tile(np.where(np.arange(3) == corner, 0.98, 0.01), (len(mixed), 1))
+        found = cloth.region(SurfacePoints(mixed.astype(np.intp), weights))
+        assert (found == own[mixed[:, corner]]).mean() > 0.95
+
+
+def test_a_pattern_goes_on_at_its_scale_around_the_flank() -> None:
+    scene = photographed("front")
+    rest, hip = scene.mesh.vertices, scene.mesh.skeleton.joints[1, 1]
+    there = match_to_front(scene.mesh, trunk_vertices(scene.body)).points[0].at(rest)
+    normals = vertex_normals(rest, scene.mesh.faces)
+    flank = trunk_vertices(scene.body) & (normals[:, 0] > 0.75) & (np.abs(rest[:, 1] - hip - 0.2) < 0.03)
+    assert flank.sum() > 5
+    deep, wide = np.ptp(rest[flank, 2]), np.ptp(there[flank, 0])
+    assert wide > 0.3 * deep, (wide, deep)  # straight through the body it would be one smeared column
+    assert np.abs(there[flank, 1] - rest[flank, 1]).max() < 0.01
+
+
+def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:
+    colour = np.full((60, 3), 0.6)
+    colour[20:40], colour[40:] = 0.55, (0.1, 0.1, 0.3)
+    flat = np.zeros(60)
+    (rows,) = in_one_tone([Rows(1, 0.0, colour, flat, colour, flat, flat > 0)])
+    assert np.abs(np.diff(rows.colour[:40, 0])).max() < 0.01
+    assert np.allclose(rows.colour[40:], colour[40:])
+    assert (rows.tolerance >= np.abs(rows.colour - colour).max(axis=1)).all()  # what was its cloth still is
+
+
 def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> None:
     wide = 0.05  # from the middle to the straps' outer edges, in heights of the person
 
@@ -94,7 +148,7 @@ def test_an_arm_before_the_trunk_does_not_take_its_cloth(monkeypatch: pytest.Mon
     points, _, facing = places(scene)
     shot, shade = scene.shots[0], np.ones(len(points.corners))
     cloth = painter_of(scene.body, scene.shots, points).cloth
-    arms = np.isin(cloth.region[points.corners[:, 0]], (3, 4)) & (facing > 0.9)
+    arms = cloth.on_sleeves(points) & (facing > 0.9)
     legs = cloth.rows[1]
     assert arms.sum() > 200 and legs is not None
     trousers = np.tile(np.median(legs.colour, axis=0) ** 2, (len(shade), 1))

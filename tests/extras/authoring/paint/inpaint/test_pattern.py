@@ -26,6 +26,16 @@ def test_stripes_go_around_and_signs_do_not() -> None:
         assert (goes_around(colour, row, across, look, np.ones(len(row))) == expected).all()
 
 
+def test_folds_and_shadows_are_no_stripes() -> None:
+    """They change the light of a cloth's colour, by much on white; stripes of another hue or far darker ones stay."""
+    white = np.array([0.9, 0.9, 0.88])
+    for other, expected in ((0.9 * white, False), (0.5 * white, True), (white * (1, 0.85, 0.85), True)):
+        _, row, across, _ = garment(STRIPES)
+        look = np.where(STRIPES[np.indices((ROWS, WIDE)).reshape(2, -1)[1], None], other, white)
+        found = goes_around(np.tile(white, (ROWS, 1)), row, across, look, np.ones(len(row)))
+        assert (found == expected).all()
+
+
 def test_rows_hidden_by_an_arm_do_not_break_a_pattern() -> None:
     for other, expected in ((STRIPES, True), (SIGN, False)):
         colour, row, across, look = garment(other)

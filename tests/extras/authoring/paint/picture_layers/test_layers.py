@@ -11,8 +11,9 @@ import pytest
 
 from glsplat.extras.authoring.body.segments import arm_segments, layer_of, mirror_vertices
 from glsplat.extras.authoring.paint.painter import painter_of
-from glsplat.extras.authoring.paint.picture_layers.fill import centre_prints, fill_hole
+from glsplat.extras.authoring.paint.picture_layers.fill import fill_hole, weave_of
 from glsplat.extras.authoring.paint.picture_layers.labels import NOTHING, labels_of
+from glsplat.extras.authoring.paint.pixels import detail_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import even_points
 from tests.extras.authoring.paint.scene import photographed
@@ -94,15 +95,13 @@ def test_cloth_hidden_by_an_arm_is_continued_across() -> None:
     assert np.abs(middle[0] - middle[1]).max() < 0.1
 
 
-def test_prints_are_found_in_the_middle_and_stripes_are_not() -> None:
-    at = np.stack(np.meshgrid(np.linspace(-1.1, 1.1, 120), np.linspace(0.6, 0, 160)), axis=2)
-    at[np.abs(at[..., 0]) > 1] = np.nan
-    cloth = np.full((160, 120, 3), 0.3, np.float32)
-    cloth[60:66] = 0.02
+def test_weave_is_fine_texture_away_from_prints() -> None:
+    cloth = np.full((200, 200, 3), 0.3, np.float32)
+    cloth[::2] *= 0.9
     cloth[80:110, 45:75] = (0.8, 0.05, 0.05)
-    found = centre_prints(cloth, at, np.isfinite(at[..., 0]))
-    assert found[80:110, 45:75].all()
-    assert not found[:76].any() and not found[:, :40].any()
+    weave = weave_of(cloth, detail_of(cloth), 200.0)
+    assert weave[20:60:2, 100].max() < 0.97 and weave[21:60:2, 100].min() > 1.03
+    assert np.allclose(weave[76:114, 41:79], 1, atol=0.05)
 
 
 @pytest.mark.check
