@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from apps.report.plots import precision_plot
@@ -110,11 +111,8 @@ def page(results: dict[str, list[dict[str, Any]]], images: Path) -> Iterator[tup
                 f"{result['frames']} frames; {Quiet(**result['quiet']).words}."
             )
             image = f"\n\n![{result['scene']}](../images/{picture})" if index == len(sizes) - 1 else ""
-            yield (
-                f"{name}-{width}",
-                about,
-                table(result["rows"]) + "\n\n" + use(result) + off_front(result["rows"]) + image,
-            )
+            text = fill(use(result) + off_front(result["rows"]), 99, break_on_hyphens=False)
+            yield f"{name}-{width}", about, f"{table(result['rows'])}\n\n{text}{image}"
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

@@ -19,7 +19,6 @@ _MIN_ARM_ANGLE_DEG = 14.0  # between the line from shoulder to wrist and the tru
 _MIN_VISIBILITY = 0.5  # of a landmark that is in the picture
 _MIN_ANKLE_VISIBILITY = 0.6  # if the person reaches the picture's lower edge
 _MIN_FOREHEAD_FRACTION = 0.065  # height of the picture above the nose, of the length from nose to ankles
-_MAX_CUT_ANKLE_FRACTION = 0.035  # from ankles to the picture's lower edge, of the length from nose to ankles
 _MAX_CUT_SIDE_FRACTION = 0.5  # of the person's height, at the picture's left or right edge
 
 _SIDES = ("left", "right")
@@ -37,17 +36,14 @@ def cut_off(person: DetectedPerson, mask: NDArray[np.bool_], view: str | None) -
     points = dict(zip(LANDMARKS, person.body.points, strict=True))
     sure = dict(zip(LANDMARKS, person.body.visible, strict=True))
     legs = {place: [f"{side}_{joint}" for side in _SIDES] for joint, place in _LEGS}
-    long = max(points[f"{side}_ankle"][1] for side in _SIDES) - points["nose"][1]
-    if _cut_at_ankles(person, mask, long):
-        del legs["shins"]
     beyond = {place: max(points[name][1] for name in names) >= height for place, names in legs.items()}
-    if "shins" in legs:
-        ankles = max(sure[name] for name in legs["shins"])
-        beyond["shins"] |= bool(mask[-2:].sum() > 2) and ankles < _MIN_ANKLE_VISIBILITY
+    ankles = max(sure[name] for name in legs["shins"])
+    beyond["shins"] |= bool(mask[-2:].sum() > 2) and ankles < _MIN_ANKLE_VISIBILITY
     if any(beyond[place] or max(sure[name] for name in names) < _MIN_VISIBILITY for place, names in legs.items()):
         least = {place: min(sure[name] for name in names) for place, names in legs.items()}
         end = next(place for place in legs if beyond[place] or least[place] < _MIN_VISIBILITY)
         return Finding("cut_off", f"the person is seen down to the {end} only; show them whole, shoes included")
+    long = max(points[f"{side}_ankle"][1] for side in _SIDES) - points["nose"][1]
     top = bool(mask[:2].sum() > 2 or points["nose"][1] < 0)
     faceless = view == "front" and person.face.presence < _MIN_VISIBILITY
     if top and (faceless or points["nose"][1] < _MIN_FOREHEAD_FRACTION * long):
@@ -67,14 +63,6 @@ def cut_off(person: DetectedPerson, mask: NDArray[np.bool_], view: str | None) -
         return None
     reach = "reaches" if len(cut) == 1 and "feet" not in cut[0] else "reach"
     return note("cut_off", f"{' and '.join(cut)} {reach} out of the picture, what is missing is guessed; {_LEAVE_ROOM}")
-
-
-def _cut_at_ankles(person: DetectedPerson, mask: NDArray[np.bool_], long: float) -> bool:
-    """Return whether the picture's lower edge cuts a person, ``long`` pixels from nose to ankles, at the ankles."""
-    knees, ankles = ([LANDMARKS.index(f"{side}_{joint}") for side in _SIDES] for joint in ("knee", "ankle"))
-    low, height = person.body.points[ankles, 1].max(), len(mask)
-    near = abs(low - height) < _MAX_CUT_ANKLE_FRACTION * long
-    return bool(near and mask[-2:].sum() > 2 and person.body.visible[knees].min() >= _MIN_VISIBILITY)
 
 
 def lying(person: DetectedPerson) -> Finding | None:

@@ -341,8 +341,7 @@ def assemble_fit(
     for posed, angles, view, error in zip(poses, rotations, views, errors, strict=True):
         where = posed.points(points)
         pixels = projected(where, view.focal, view.centre)[0]
-        drawn, bare_head = projected_mask(pixels, body.faces, view.mask.shape), brimless(view.mask, view.figure)
-        covered = max(overlap(drawn, view.mask), overlap(drawn, bare_head))  # brims of hats are not the body's
+        covered = overlap(projected_mask(pixels, body.faces, view.mask.shape), view.mask)
         place = posed.joints + np.einsum("jik,jk->ji", posed.frames, joints - shaped)
         fitted.append(FittedView(angles, posed.frames[0], place[0], place, where, pixels, covered, error))
         if not np.isfinite(where).all() or covered < _MIN_OVERLAP:

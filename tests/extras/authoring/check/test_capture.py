@@ -87,8 +87,6 @@ BAD: dict[str, tuple[str, Edit]] = {
     "two people": ("several", lambda a, b: np.hstack([a.picture, b.picture])),
     "somebody behind": ("several", behind),
     "no feet": ("cut_off", lambda a, b: a.picture[: rows(a)[1] - 40]),
-    "down to the ankles": ("cut_off", lambda a, b: a.picture[: level(a, "left_ankle")]),
-    "down to the shins": ("cut_off", lambda a, b: a.picture[: level(a, "left_knee", "left_ankle", 0.6)]),
     "no hand": ("cut_off", lambda a, b: a.picture[:, np.flatnonzero(a.mask.any(axis=0))[0] + 40 :]),
     "far away": ("small", lambda a, b: framed(a.picture, 0.2, 300, 200, 250, 250)),
     "on its side": ("lying", lambda a, b: np.ascontiguousarray(np.rot90(a.picture))),
@@ -103,7 +101,7 @@ BAD: dict[str, tuple[str, Edit]] = {
     "too dark": ("dark", lambda a, b: light(a.picture, 1 / 30)),
 }
 
-NOTES = ("no feet", "down to the ankles", "no hand", "half turned", "arms down")
+NOTES = ("no feet", "no hand", "half turned", "arms down")
 """Of BAD: what an avatar is made of all the same."""
 TEXTS = {
     "down to the thighs": "the person is seen down to the thighs only; show them whole, shoes included",

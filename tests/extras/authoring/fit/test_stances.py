@@ -186,7 +186,7 @@ def test_doubts_by_limb() -> None:
 def test_legs_that_are_not_seen_are_a_problem() -> None:
     view, _, _ = posed_view()
     sure = view.visibility.copy()
-    sure[25:33] = 0.1
+    sure[27:33] = 0.1
     assert (
         fit_body([View(view.mask, view.landmarks, sure, FOCAL)]).problem == "the legs are not seen in the front picture"
     )

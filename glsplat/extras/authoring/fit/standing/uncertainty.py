@@ -23,13 +23,10 @@ _MAX_UNCERTAINTY = 0.6  # of one leg, or of the head
 def limb_uncertainty(view: View, hidden: tuple[float, float]) -> dict[str, float]:
     """Return the uncertainty of each limb, from 0 (fully visible) to 1 (a guess).
 
-    It is 1 minus the visibility of the limb's least visible landmark, for a leg the mean of knee and ankle; for an arm
-    it is at least the fraction ``hidden`` (left, right) behind the trunk.
+    It is 1 minus the visibility of the limb's least visible landmark; for an arm at least the fraction ``hidden``
+    (left, right) behind the trunk.
     """
-    seen = {limb: view.visibility[list(marks)] for limb, marks in LIMBS.items()}
-    uncertainty = {
-        limb: float(1 - (sure.mean() if limb.endswith("leg") else sure.min())) for limb, sure in seen.items()
-    }
+    uncertainty = {limb: float(1 - view.visibility[list(marks)].min()) for limb, marks in LIMBS.items()}
     for limb, share in zip(("left arm", "right arm"), hidden, strict=True):
         uncertainty[limb] = max(uncertainty[limb], share)
     return uncertainty
