@@ -14,6 +14,7 @@ from glsplat.camera import Camera
 from glsplat.extras.authoring.geometry.posed import PosedSplats
 from glsplat.extras.authoring.optimize import kernels
 from glsplat.extras.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, TILE
+from glsplat.extras.authoring.optimize.view_consistency import Shares, list_shares
 from glsplat.io.cores import cores
 
 __all__ = ["Gradients", "Rasterizer"]
@@ -53,8 +54,8 @@ class Rasterizer:
         self.out: F64 = np.zeros((count, GRADIENTS))  # of the last backward(), a row a splat
         self._sums = np.zeros((0, SUMS), np.float32)
 
-    def _place(self, splats: PosedSplats, camera: Camera, antialias: bool) -> None:
-        """Project the splats, at most ``count``, into the camera's picture."""
+    def place(self, splats: PosedSplats, camera: Camera, antialias: bool) -> None:
+        """Project the splats, at most ``count``, into the camera's picture; ``shares`` needs this."""
         width, height, count = camera.width, camera.height, len(splats.means)
         self._ranges = list(pairwise(np.linspace(0, count, _PARTS + 1).astype(int).tolist()))
         K = camera.K
@@ -70,6 +71,7 @@ class Rasterizer:
         shown = np.flatnonzero(self._record[:count, 5] > 0)
         order = shown[np.argsort(self._record[shown, 7], kind="stable")]
         tile_columns, tile_rows = -(-width // TILE), -(-height // TILE)
+        self._order = order
         start, splat = kernels.list_entries(order, self._box, tile_columns, tile_rows)
         each = np.diff(start)
         tiles = np.argsort(-each, kind="stable")
@@ -79,7 +81,7 @@ class Rasterizer:
 
     def draw(self, splats: PosedSplats, camera: Camera, antialias: bool) -> F32:
         """Return the premultiplied picture, RGBA [H, W, 4], over nothing."""
-        self._place(splats, camera, antialias)
+        self.place(splats, camera, antialias)
         self._picture, passes = np.zeros((*self._size, 4), np.float32), np.ones(self._size, np.float32)
         self._each(self._work, lambda tiles: kernels.draw(tiles, *self._entries, self._picture, passes, self._floor))
         return self._picture
@@ -102,6 +104,16 @@ class Rasterizer:
         self._each(self._ranges, lambda part: kernels.gather(part[0], part[1], self._totals, *shapes, self.out))
         out = self.out
         return Gradients(out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9], out[:, 10:13], out[:, 13], out[:, 14])
+
+    def shares(self) -> Shares:
+        """Return the shares of pixels of the splats of the last ``place``; entries without pixels are left out."""
+        tile_columns, start, splat, record, box = self._entries
+        room = int((box[self._order, 1::2] - box[self._order, ::2] + 1).prod(axis=1, dtype=np.int64).sum())
+        first, pixel, weight = np.empty(len(splat) + 1, np.int64), np.empty(room, np.int32), np.empty(room, np.float32)
+        list_shares(tile_columns, start, splat, record, box, self._size, self._floor, first, pixel, weight)
+        nonempty, count = np.diff(first) > 0, first[-1]
+        starts = np.append(first[:-1][nonempty], count)
+        return Shares(splat[nonempty], starts, pixel[:count].copy(), weight[:count].copy())
 
     def weights(self) -> F64:
         """Return each splat's share of the last picture [N], in pixels."""

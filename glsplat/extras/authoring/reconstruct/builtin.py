@@ -26,6 +26,7 @@ from glsplat.extras.authoring.light.captured_light import captured_light, with_c
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
+from glsplat.extras.authoring.optimize.surface_consistency import load_compiled
 from glsplat.extras.authoring.paint.bake import bake
 from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
@@ -70,6 +71,7 @@ class Builtin:
     def report(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """Return the avatar with the fit and the mesh it was made from."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
+        loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
         hair = _template_hair(body, fit, bald[0]) if options.splats >= _MIN_SPLATS_WITH_HAIR else None
         shots = with_hair(body, bald) if hair is None else bald
         mesh = shots[0].mesh
@@ -99,8 +101,9 @@ class Builtin:
         if face:
             options.progress("giving it a face", 0.0)
             avatar = with_face(avatar, face(), options.splats, options.seed, eyes_visible=bool(looks))
-        if captured is not None:
+        if captured is not None and loaded is not None:
             options.progress("finding the light", 0.0)
+            loaded()
             avatar = with_captured_light(avatar, mesh, captured(), photographed)
             options.progress("finding the light", 1.0)
         avatar = replace(avatar, meta=dict(avatar.meta) | {"templates": notes})

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,6 +12,7 @@ from glsplat.rotations import matrix_quaternions
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
+from tests.extras.authoring.optimize.without import without_numba
 
 F64 = NDArray[np.float64]
 
@@ -49,21 +47,18 @@ def test_deviating_splats_take_the_visible_surface_and_visible_ones_stay() -> No
     found, opened, shade = view_consistent(avatar, normals, occlusion, np.repeat([0.5, 1.0], [700, 400]))
     before, after = ((some * ways).sum(axis=1) for some in (normals, found))
     outer = slice(0, 700)
-    assert after[outer].min() > 0.94 and opened[outer].min() > 0.8
+    assert after[outer].min() > 0.95 and opened[outer].min() > 0.8
     level = np.abs(ways[:, 1]) < 0.7  # cameras stand around
     level[outer] = False
-    assert (before[level] < -0.99).all() and (after[level] > 0.9).mean() > 0.94 and np.median(opened[level]) > 0.8
+    assert (before[level] < -0.99).all() and (after[level] > 0.9).mean() > 0.95 and np.median(opened[level]) > 0.8
     assert np.allclose(np.linalg.norm(found, axis=1), 1)
     assert np.allclose(shade[outer], 0.5, rtol=0.1) and np.median(shade[level]) < 0.6
     unlit, _, ones = view_consistent(avatar, normals, occlusion)
     assert (ones == 1).all() and (unlit * found).sum(axis=1)[outer].min() > 0.95
 
 
-@pytest.mark.check
-def test_numba_is_not_needed() -> None:
-    code = (
-        "import sys; sys.modules['numba'] = None\n"
-        "from tests.extras.authoring.optimize.test_surface_consistency import *\n"
-        "test_deviating_splats_take_the_visible_surface_and_visible_ones_stay()"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+def test_without_numba_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    avatar, _, normals, occlusion = cheek()
+    without_numba(monkeypatch)
+    same, opened, shade = view_consistent(avatar, normals, occlusion)
+    assert same is normals and opened is occlusion and (shade == 1).all()
