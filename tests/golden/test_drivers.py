@@ -67,12 +67,14 @@ from glsplat.formats.motion_files import load_motion
 avatar = glsplat.default_avatar()
 pose = load_motion("walk", avatar.skeleton).at(0.3)
 pictures, levels = [], []
-with glsplat.Renderer(avatar, size=(160, 160), views=2, config=replace(LEAN, output="float32")) as renderer:
-    for away in (0.8, 1.6, 3.0):
-        head = np.eye(4)
-        head[:3, 3] = 0, 1.1, away
-        pictures.append(renderer.render(glsplat.stereo_cameras(head, ipd=0.063, size=(160, 160)), pose))
-        levels += renderer.stats.levels
+for target in ("32f", LEAN.target):
+    config = replace(LEAN, target=target, output="float32")
+    with glsplat.Renderer(avatar, size=(160, 160), views=2, config=config) as renderer:
+        for away in (0.8, 1.6, 3.0):
+            head = np.eye(4)
+            head[:3, 3] = 0, 1.1, away
+            pictures.append(renderer.render(glsplat.stereo_cameras(head, ipd=0.063, size=(160, 160)), pose))
+            levels += renderer.stats.levels
 np.savez(sys.argv[1], pictures=np.array(pictures), levels=levels, driver=renderer.driver)
 """
 
@@ -116,7 +118,8 @@ def test_levels_and_hidden_splats(driver: str, tmp_path: Path, pictures_here: di
     levels = pictures_here["levels"].tolist()
     assert levels == there["levels"].tolist() and len(set(levels)) >= 2
     error = ((pictures_here["pictures"].astype(np.float64) - there["pictures"]) ** 2).mean(axis=(1, 2, 3, 4))
-    assert -10 * np.log10(np.maximum(error, 1e-12)).max() > 80
+    exact, lean = -10 * np.log10(np.maximum(error, 1e-12)).reshape(2, 3).min(axis=1)
+    assert exact > 80 and lean > 50  # drivers round 8 bits differently
 
 
 @pytest.mark.parametrize("driver", DRIVERS)

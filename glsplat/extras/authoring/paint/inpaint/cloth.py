@@ -226,9 +226,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         if sleeve is not None and trunk is not None and skin is not None:
             rows[number] = _pattern_sleeve(sleeve, trunk, skin, armpit)
     for numbers in (_BODY, _SLEEVES, (_NECK,)):
-        known = [number for number in numbers if rows[number] is not None]
-        toned = in_one_tone([each for each in (rows[number] for number in known) if each is not None])
-        for number, each in zip(known, toned, strict=True):
+        seen = {number: each for number in numbers if (each := rows[number]) is not None}
+        for number, each in zip(seen, in_one_tone(list(seen.values())), strict=True):
             rows[number] = each
     palettes = [_palette(row, look[deep & (mine == number)]) for number, row in enumerate(rows)]
     return Cloth(rest, shares, tuple(rows), tuple(palettes), skin, armpit)

@@ -123,6 +123,8 @@ def in_one_tone(parts: Sequence[Rows]) -> list[Rows]:
 
     What light and shadows change down a garment goes.
     """
+    if not parts:
+        return []
     place = np.concatenate([rows.places for rows in parts])
     colour = np.concatenate([rows.colour for rows in parts])
     toned = []

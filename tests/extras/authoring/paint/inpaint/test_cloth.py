@@ -118,6 +118,7 @@ def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:
     assert np.abs(np.diff(rows.colour[:40, 0])).max() < 0.01
     assert np.allclose(rows.colour[40:], colour[40:])
     assert (rows.tolerance >= np.abs(rows.colour - colour).max(axis=1)).all()  # what was its cloth still is
+    assert in_one_tone([]) == []  # a neck that no picture shows
 
 
 def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> None:
