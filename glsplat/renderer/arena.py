@@ -28,8 +28,6 @@ from glsplat.shaders import Variant
 from glsplat.shaders.slots import UNITS
 from glsplat.shaders.variant import COLOUR_TEXELS
 
-__all__ = ["Arena", "Part", "PipelineKey"]
-
 _MAX_PIPELINES = 8
 _MAX_PIPELINE_BYTES = 256 * 2**20  # of those that are not in use
 

@@ -21,8 +21,6 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin, strongest_joint
 from glsplat.splats import Splats
 
-__all__ = ["Bounds", "PosedBounds", "covered_pixels"]
-
 F64 = NDArray[np.float64]
 
 _DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # [27, 3]; the middle one is no direction

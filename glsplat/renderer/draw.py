@@ -14,8 +14,6 @@ from glsplat.renderer.stats import Box
 from glsplat.renderer.targets import Target
 from glsplat.shaders import Programs, Variant, record_layout
 
-__all__ = ["MAX_PULLED", "BackgroundPass", "DrawPass", "Slices", "corners_of", "fits"]
-
 MAX_PULLED = 500_000
 """Most records that software rasterizers pull by default: 0.8 of the draw's time up to 320,000, 1.1 at a million."""
 

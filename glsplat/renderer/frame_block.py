@@ -12,8 +12,6 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.shaders.slots import FRAME_BLOCK
 
-__all__ = ["FrameBlock", "frame_dtype"]
-
 VIEW_DTYPE = np.dtype(
     [
         ("rows", np.float32, (3, 4)),

@@ -37,8 +37,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 from glsplat.timing import StageTimer
 
-__all__ = ["GpuScene"]
-
 PASSES = 4
 """Passes of one call that keep records of their own; later passes share the last ones."""
 

@@ -18,8 +18,6 @@ from glsplat.renderer.stage import ROW, rows_of
 from glsplat.shaders import Programs, set_uniforms
 from glsplat.timing import StageTimer
 
-__all__ = ["GpuSorter", "gpu_sorts_faster"]
-
 DIGITS, TILE = 256, 2048
 """Twins of radix.glsl: values of a digit, and splats that a group sorts at a time."""
 

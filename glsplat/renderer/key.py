@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from glsplat.renderer.arena import Arena
 from glsplat.shaders import Programs, Variant
 
-__all__ = ["BLOCK_PIXELS", "KeyPass"]
-
 BLOCK_PIXELS = 16
 """Pixels of a block of 4x4, in which key.vert.glsl counts costs: rasterizers work on whole blocks."""
 

@@ -23,8 +23,6 @@ from glsplat.config import MAX_BIAS
 from glsplat.errors import GlsplatError
 from glsplat.splats import Splats
 
-__all__ = ["HYSTERESIS", "ItemLevels", "Proxy", "Selector", "cells", "chosen"]
-
 F64 = NDArray[np.float64]
 
 HYSTERESIS = 1.05

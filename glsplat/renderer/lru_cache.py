@@ -7,8 +7,6 @@ from typing import Generic, Protocol, TypeVar
 
 from glsplat.renderer.owned import Owner
 
-__all__ = ["LruCache", "Sized"]
-
 
 class Sized(Owner, Protocol):
     """An owner of GL objects that take ``nbytes`` on the GPU."""

@@ -19,8 +19,6 @@ from glsplat.shaders import MeshVariant, Programs, set_uniforms
 from glsplat.shaders.slots import UNITS
 from glsplat.skinning.skin import Skin
 
-__all__ = ["INFLUENCES", "MeshBuffers", "fitted", "reach_of", "split_vertices"]
-
 INFLUENCES = 4
 """Joints a vertex, as for splats."""
 

@@ -27,8 +27,6 @@ from glsplat.renderer.stats import Box
 from glsplat.shaders import MeshVariant, Programs
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["MeshPass", "MeshPassKind"]
-
 _NO_MESH_Z = 3e38  # camera z where no mesh is: behind every splat
 _LINEAR, _LOGARITHMIC = (MeshVariant(influences=INFLUENCES, logarithmic=n) for n in (0, 1))
 _LINEAR_RANGE = 1000.0  # far / near up to which 24 bits of 1 / z resolve z to a 17,000th

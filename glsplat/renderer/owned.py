@@ -9,8 +9,6 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Owner", "data_texture", "owned"]
-
 
 class Owner(Protocol):
     """Anything that owns GL objects."""

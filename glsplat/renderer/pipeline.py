@@ -32,8 +32,6 @@ from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
-__all__ = ["Pipeline", "view_state"]
-
 
 class Pipeline:
     """Owns the work buffers and vertex arrays of a variant; arena and programs are borrowed."""

@@ -14,8 +14,6 @@ from glsplat.renderer.targets import Target
 from glsplat.shaders import Variant, flatten, link, set_uniforms
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["Layout", "Present", "view_size"]
-
 Layout = Literal["mono", "side-by-side", "anaglyph"]
 
 

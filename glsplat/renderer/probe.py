@@ -15,8 +15,6 @@ from glsplat.renderer.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
 
-__all__ = ["Probe"]
-
 
 class Probe(Renderer):
     """Make, use and release it as a Renderer."""

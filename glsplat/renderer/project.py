@@ -16,8 +16,6 @@ from glsplat.light.light import Light
 from glsplat.renderer.owned import owned
 from glsplat.shaders import Programs, Variant, record_layout
 
-__all__ = ["ProjectPass"]
-
 _U = ctypes.c_uint
 _CALLS: dict[str, tuple[Any, ...]] = {
     "UseProgram": (_U,),

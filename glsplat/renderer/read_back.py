@@ -14,8 +14,6 @@ from glsplat.gl.functions import gl_functions
 from glsplat.renderer.stats import Box
 from glsplat.renderer.targets import ByteTarget, Target
 
-__all__ = ["PackBuffers", "Transfer", "read_bytes", "read_depth", "read_floats"]
-
 _PACK_BUFFER, _STREAM_READ, _MAP_READ = 0x88EB, 0x88E1, 0x0001
 _GPU_COMMANDS_COMPLETE, _FLUSH_COMMANDS, _TIMEOUT_EXPIRED = 0x9117, 0x0001, 0x911B
 _NUMBER_BYTES = 4

@@ -34,8 +34,6 @@ from glsplat.shaders.variant import MAX_VIEWS
 from glsplat.skinning.pose import Pose
 from glsplat.timing import StageTimer
 
-__all__ = ["FrameStats", "Prepared", "Renderer"]
-
 
 class Renderer:
     """Draws one scene or avatar for any number of views; create, use and release it on one thread.

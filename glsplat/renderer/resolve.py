@@ -18,8 +18,6 @@ from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, ResolveVariant, Variant, set_uniforms
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["ResolvePass", "ResolveStep", "StepTextures", "checked_step"]
-
 MAX_TEXTURES = 64
 """Textures of steps, 16 KiB each: so many sessions can take turns without uploads."""
 

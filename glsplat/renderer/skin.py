@@ -18,8 +18,6 @@ from glsplat.rotations import is_rigid, rodrigues_parameters
 from glsplat.shaders import SkinVariant, set_uniforms
 from glsplat.shaders.slots import UNITS
 
-__all__ = ["Placement", "SkinPass", "near_eye"]
-
 _BATCH_ROWS = 64  # rows written at a time; limits the scratch buffer to 4 MB
 _POSED_BYTES = 64  # a splat
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from glsplat.renderer.stats import Box
 
-__all__ = ["CULL_REASONS", "FIRST_CULLED", "count_culled", "covered_box", "sorted_indices"]
-
 FIRST_CULLED = 0xFFFFFF00
 CULL_REASONS = {1: "out of range", 2: "transparent", 3: "degenerate", 4: "outside", 5: "hidden"}
 """Code of project.glsl -> name in the statistics."""

@@ -25,8 +25,6 @@ from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["NEAR_M", "ROW", "ItemBuffers", "ShapeBuffers", "numbers_of", "rows_of", "upload_rows", "write_rows"]
-
 ROW = 1 << ROW_BITS["330"]
 """Splats per row of the arena's textures (arena.glsl)."""
 

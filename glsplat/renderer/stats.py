@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-__all__ = ["Box", "FrameStats", "union"]
-
 Box = tuple[int, int, int, int]
 """Pixels: x, y, width, height, from the top left corner."""
 

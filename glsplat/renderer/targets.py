@@ -13,8 +13,6 @@ from glsplat.gl.context import Context
 from glsplat.renderer.lru_cache import LruCache
 from glsplat.renderer.owned import owned
 
-__all__ = ["FORMATS", "ByteTarget", "Target", "TargetPool"]
-
 FORMATS = {"8": "f1", "16f": "f2", "32f": "f4"}
 """RenderConfig.target -> moderngl dtype."""
 

@@ -13,8 +13,6 @@ from glsplat.renderer.renderer import Renderer
 from glsplat.splats import Splats
 from glsplat.views import view_of, viewing_point
 
-__all__ = ["thumbnail"]
-
 SIDE_PX = 512
 FOV_DEG = 40.0
 

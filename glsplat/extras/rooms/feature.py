@@ -6,8 +6,6 @@ from glsplat.extras.rooms.rooms import Rooms
 from glsplat.net.feature import Feature
 from glsplat.net.options import ServerConfig
 
-__all__ = ["features"]
-
 
 def features(config: ServerConfig) -> list[Feature]:
     """Return the rooms that ``config`` names."""

@@ -16,8 +16,6 @@ from glsplat.net.room_view import RoomView
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.skinning.pose import Pose
 
-__all__ = ["Member"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:

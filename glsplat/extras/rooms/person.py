@@ -21,8 +21,6 @@ from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["FADE_S", "MAX_AHEAD_S", "SILENT_S", "Person", "PoseSample", "people_fields"]
-
 MAX_AHEAD_S = 0.1
 """Longest extrapolation of a pose."""
 SILENT_S = 2.0

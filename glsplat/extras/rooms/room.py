@@ -26,9 +26,6 @@ from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.wire_schema import Position
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["Room"]
-
-
 _TOKEN_BYTES = 16
 _SWEEP_INTERVAL_S = 0.03
 _COST_SMOOTHING = 0.1  # weight of the newest picture in the mean drawing time

@@ -17,8 +17,6 @@ from glsplat.skinning.pose import Pose
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Rooms"]
-
 
 class Rooms(Feature):
     """Rooms by name with their number of ``seats``; those in ``furnished`` show the server's scene."""

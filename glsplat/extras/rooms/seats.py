@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from glsplat.scene import similarity
 
-__all__ = ["RADIUS", "free_seat", "place_at", "seat"]
-
 RADIUS = 1.2
 """Least radius of the circle in metres: people who stand opposite are at a talking distance."""
 

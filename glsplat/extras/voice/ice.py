@@ -12,8 +12,6 @@ from typing import Any
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["IceServers"]
-
 _ADDRESS = re.compile(r"(?:stuns?|turns?):(?:[\w.-]+|\[[0-9A-Fa-f:]+\])(?::\d{1,5})?(?:\?transport=(?:udp|tcp))?")
 _PASSWORD_S = 12 * 3600  # seconds for which a password is valid; a call that lasts longer goes on
 

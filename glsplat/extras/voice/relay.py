@@ -23,8 +23,6 @@ from glsplat.optional import has_extra, missing
 if TYPE_CHECKING:
     from glsplat.net.rights import User
 
-__all__ = ["Voice"]
-
 MAX_TALKERS = 8  # in a room: each page sends its sound to each other one
 MAX_MESSAGE_BYTES = 16 * 1024  # an offer of one audio track has 1 to 4 kB
 
