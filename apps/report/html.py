@@ -11,8 +11,6 @@ from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 from ..page import document, escaped, image_of, number_of, table_of
 from . import latency as report_latency
 
-__all__ = ["page"]
-
 _DENSE = (
     "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
     "person's mesh have."

@@ -20,8 +20,6 @@ from ..demo import running_server
 from ..replay.command import load_drive
 from ..replay.streaming import STAGES, Drive, Result, observer, stream
 
-__all__ = ["HEAD", "PAPER", "measure", "rows"]
-
 PAPER = {
     "ik": "~1",
     "communication": "< 1",

@@ -11,8 +11,6 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ..figures import png_of
 
-__all__ = ["growth_plot", "left_out_plot", "precision_plot"]
-
 _MEASURES = (("psnr", "PSNR (dB, higher is closer)"), ("flip", "FLIP (0 is equal)"), ("lpips", "LPIPS (0 is equal)"))
 _MARKERS = "osD^v<>P*hpd"
 _MARKS = {"render": "s", "serve": "o", "--fps": "D"}

@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 
 from apps.figures import png_of
 
-__all__ = ["ABOUT", "others_plot"]
-
 ABOUT = (
     "The body solver (tracking.md), size and quality of JPEGs (ladder.md), the number of splats (avatars.md) and late "
     "pictures on a plane or on their depth (more.md), drawn from the tables of those pages."

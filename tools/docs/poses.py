@@ -8,8 +8,6 @@ from scipy.optimize import least_squares
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.captures import Capture
 
-__all__ = ["POSES", "standing"]
-
 _SIDES = {"left": 1.0, "right": -1.0}
 _ARM = ("collar", "shoulder", "elbow", "wrist", "index", "middle", "pinky", "ring", "thumb")
 

@@ -12,8 +12,6 @@ from glsplat.camera import Camera
 from glsplat.gl.context import create_context
 from glsplat.rotations import FLIP_YZ
 
-__all__ = ["Image", "Points", "View", "Warper"]
-
 F64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Points = tuple[F64, F64, F64]

@@ -36,8 +36,6 @@ from glsplat.tracking.sample import Sample, Transform
 from glsplat.tracking.tracker import Tracker
 from tools.net.picture_warp import Image, Points, View, Warper
 
-__all__ = ["markdown"]
-
 F64 = NDArray[np.float64]
 
 SIDE = 1024  # pixels of a square picture

@@ -34,8 +34,6 @@ from glsplat.net.pace.ladder import SCALES
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 
-__all__ = ["VISIBLE_LPIPS", "VISIBLE_PSNR", "Way", "advice", "lpips_if_there", "measure", "render_words", "serve_lines"]
-
 JPEGS = ((50, "420"), (80, "420"), (90, "420"), (95, "420"), (80, "444"), (95, "444"))
 """Quality and chroma subsampling."""
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +27,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 from glsplat.views import orbited, view_of, viewing_point
-
-if TYPE_CHECKING:
-    from glsplat.extras.authoring.sample.surface import SamplerConfig
 
 NUDGE = 1e-6
 """Radians a given camera is turned by in every second frame: nothing one can see, but every frame is sorted.
@@ -129,7 +125,7 @@ def check_cameras(given: Sequence[str], scenes: Sequence[str]) -> None:
             raise FormatError(f"{text}: no scene is called {name}; give its file's name without the ending")
 
 
-def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None = None) -> Subject:
+def dense_person(path: Path, count: int, size: int) -> Subject:
     """A rigged person as an avatar with eight joints a splat, held against one with all joints a splat.
 
     The dense weights are those of the nearest surface point: of the corners of its triangle, which have four each.
@@ -139,7 +135,7 @@ def dense_person(path: Path, count: int, size: int, config: SamplerConfig | None
     from glsplat.extras.authoring.sample.surface import make_avatar
 
     mesh = read_person(path)
-    avatar = make_avatar(mesh, count, config=config)
+    avatar = make_avatar(mesh, count)
     joints, weights, _ = nearest_weights(mesh, avatar.splats.means.astype(np.float64))
     most = int((weights > 0).sum(axis=1).max())
     order = np.argsort(-weights, axis=1, kind="stable")[:, :most]

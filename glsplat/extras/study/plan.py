@@ -38,7 +38,7 @@ def label(participant: int) -> str:
     return f"sub-{participant:03d}"
 
 
-def make_plan(study: Study, now: datetime | None = None) -> Plan:
+def make_plan(study: Study) -> Plan:
     """Return the plan of a study. Raises FormatError if items have no text."""
     if study.items_without_text:
         first, count = study.items_without_text[0], len(study.items_without_text)
@@ -47,7 +47,7 @@ def make_plan(study: Study, now: datetime | None = None) -> Plan:
             f"{study.path}: {count} items have no text yet, the first is {first}: put it under [text.{name}] as "
             f'{item} = "..." (glsplat study check lists all)'
         )
-    made = (now or datetime.now(UTC)).replace(microsecond=0).isoformat()
+    made = datetime.now(UTC).replace(microsecond=0).isoformat()
     return Plan(study.digest, made, tuple(orders_of(study)), tuple(groups_of(study)), study.to_json())
 
 

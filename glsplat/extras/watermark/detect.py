@@ -27,6 +27,8 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.code import CHECK_BITS, Payload, decode
 from glsplat.extras.watermark.pattern import BAND, TILE, Pattern, pattern_of
 
+__all__ = ["SCALES", "WINDOW", "Found", "detect", "residual_of", "search"]
+
 SCALES = (0.5, 2.0)
 """Least and largest scale tried: picture pixels per rendered pixel."""
 

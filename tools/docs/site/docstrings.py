@@ -7,8 +7,6 @@ from typing import Any
 
 from griffe import Extension, Object
 
-__all__ = ["Docstrings", "markdown_of"]
-
 _TABLE = re.compile(r"(?m)^=+(?: +=+)+\n(?:.+\n)*=+(?: +=+)+$")
 _EXAMPLE = re.compile(r"(?m)^>>> .*(?:\n(?!\s*$).*)*")
 

@@ -6,8 +6,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["api_page", "api_pages", "homes", "public_modules"]
-
 ROOT = Path(__file__).resolve().parents[3]
 
 

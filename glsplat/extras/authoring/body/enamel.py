@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["ARCH_XZ_M", "MAX_CROWN_M", "arch_angles", "enamel", "light_at", "paint_teeth", "tooth_of_faces"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -15,8 +15,6 @@ from glsplat.arrays import frozen
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.open_face import open_face
 
-__all__ = ["Lining", "mouth_lining"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

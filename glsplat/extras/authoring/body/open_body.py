@@ -17,8 +17,6 @@ from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["BETAS", "Body", "Points", "open_body"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

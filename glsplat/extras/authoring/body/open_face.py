@@ -21,8 +21,6 @@ from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["OpenFace", "first_vertices", "match_open_body", "open_face", "with_expressions", "with_mouth"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Offsets = Mapping[str, tuple[Indices, F64]]

@@ -12,20 +12,6 @@ from glsplat.arrays import frozen
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = [
-    "FOREARMS",
-    "HANDS",
-    "LAYER_COUNT",
-    "arm_layers",
-    "arm_segments",
-    "forearms",
-    "joint_weights",
-    "layer_of",
-    "mirror_vertices",
-    "trunk_half_width",
-    "trunk_vertices",
-]
-
 LAYER_COUNT = 3
 """0 trunk with head and legs, 1 left arm, 2 right arm."""
 

@@ -24,8 +24,6 @@ from glsplat.extras.authoring.networks.person import (
 )
 from glsplat.extras.authoring.segment.mask import person_mask
 
-__all__ = ["Capture", "Finding", "check_capture", "is_outline"]
-
 _GOOD_AGREEMENT, _POOR_AGREEMENT = 0.85, 0.75  # of a mask with the body network
 _SATURATED_LEVEL = 253  # of 255
 _SEVERAL = Finding("several", "more than one person is in the picture; show one person alone")

@@ -17,8 +17,6 @@ from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
 from glsplat.extras.authoring.segment.mask import person_mask
 from glsplat.extras.authoring.segment.mask_file import MaskSource, read_mask
 
-__all__ = ["CheckedPhoto", "PhotoSource", "check_photos", "refuse"]
-
 Mask = NDArray[np.bool_]
 PhotoSource = str | os.PathLike[str] | Photo
 """A picture file or a decoded one."""

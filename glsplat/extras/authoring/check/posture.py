@@ -9,9 +9,6 @@ from glsplat.extras.authoring.check.finding import Finding, note
 from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson, degrees_between
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
-__all__ = ["LYING", "arms", "cut_off", "lying", "turned"]
-
-
 _NOTE_TURN_DEG = 20.0  # between the shoulders and the expected side
 _MAX_TURN_DEG = 57.0  # the network reports up to this for people turned by 45 degrees
 _MAX_LEAN_DEG = 20.0  # between the vertical and the trunk, or the line from ankles to nose

@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["blur_of"]
-
 _MAX_HEIGHT_PX = 1000  # of the person; larger ones are reduced, since an avatar shows no more detail
 _BLUR_PX = 9  # width of the second blur
 

@@ -6,8 +6,6 @@ import importlib.util
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["NUMBA_MISSING", "available", "compiled"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 NUMBA_MISSING = "numba is not installed, so splats are not fitted; pip install 'glsplat[make]'"

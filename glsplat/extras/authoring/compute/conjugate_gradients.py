@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-__all__ = ["conjugate_gradients"]
-
 F64 = NDArray[np.float64]
 
 

@@ -16,8 +16,6 @@ import scipy
 
 from glsplat.io.cores import cores
 
-__all__ = ["locked_cached_property", "map_threads", "one_blas_thread", "run_in_background", "share_heap"]
-
 _OPENBLAS_NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
 
 # Options of malloc.h: M_ARENA_MAX, M_MMAP_THRESHOLD (32 MiB is the largest allowed) and M_TRIM_THRESHOLD, in bytes.

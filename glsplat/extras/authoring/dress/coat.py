@@ -14,8 +14,6 @@ from glsplat.pictures import to_linear
 from glsplat.rotations import component_sums, lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["coat_hem", "unlike"]
-
 F64 = NDArray[np.float64]
 
 _SAME_COLOUR_DISTANCE, _SKIN_DISTANCE = 0.15, 0.12  # square roots of linear light, shading left out

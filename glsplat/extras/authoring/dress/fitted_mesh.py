@@ -12,8 +12,6 @@ from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["Dressed", "dressed_mesh"]
-
 _DECIMALS_M = 7  # so that files do not depend on the last bits of sums
 _SIDES = ("left", "right")
 _MAX_SOLE_NORMAL_Y = -0.85  # soles face the floor

@@ -14,8 +14,6 @@ from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["feet_vertices", "with_shoes"]
-
 F64 = NDArray[np.float64]
 
 _SIDES = (("left", 1.0), ("right", -1.0))

@@ -24,8 +24,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["dress", "hem_of", "with_skirt"]
-
 F64 = NDArray[np.float64]
 
 _LEGS = ("hip", "knee", "ankle")

@@ -14,8 +14,6 @@ from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["BLINK_SHAPES", "EYEBALL_RETREAT_M", "blink_shape_of", "closing_weight", "with_blink"]
-
 F64 = NDArray[np.float64]
 
 BLINK_SHAPES = ("eyeBlinkLeft", "eyeBlinkRight")

@@ -14,8 +14,6 @@ from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["IRIS_COLOURS", "Eyeball", "eye_texture", "fit_eyeballs", "with_eyeballs"]
-
 F64 = NDArray[np.float64]
 
 IRIS_COLOURS = {  # sRGB, of 255

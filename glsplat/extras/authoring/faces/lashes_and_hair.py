@@ -20,18 +20,6 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = [
-    "LASH_RGB",
-    "LASH_SPLATS",
-    "LID_SHADOW_RGB",
-    "ExtraSplats",
-    "add_splats",
-    "axes_along",
-    "with_brow_hairs",
-    "with_lashes",
-    "with_strands",
-]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

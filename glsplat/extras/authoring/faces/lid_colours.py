@@ -13,8 +13,6 @@ from glsplat.extras.authoring.faces.openings import LidEdges, Opening
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["lid_colours"]
-
 F64 = NDArray[np.float64]
 
 _SEARCH_RADIUS_M, _MIN_GAP_RAD = 0.034, np.radians(8)  # around an eye's middle; beyond its opening

@@ -37,8 +37,6 @@ from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["with_lids"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.integer]
 

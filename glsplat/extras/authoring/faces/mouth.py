@@ -24,8 +24,6 @@ from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
 
-__all__ = ["with_open_lips", "with_teeth"]
-
 F64 = NDArray[np.float64]
 
 _SAMPLER = SamplerConfig(samples=24, candidates=8, rounds=8, probe=0, color_weight=1.2)

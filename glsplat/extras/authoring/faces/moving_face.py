@@ -14,8 +14,6 @@ from glsplat.extras.authoring.faces.mouth import with_open_lips, with_teeth
 from glsplat.extras.authoring.faces.openings import Opening, find_openings
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["FACE_SPLATS", "MovingFace", "moving_face", "with_face"]
-
 FACE_SPLATS = 1_600
 """Of an avatar, for teeth, gums, lids and lashes."""
 

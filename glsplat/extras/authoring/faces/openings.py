@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["LidEdges", "Opening", "directions", "find_openings", "lid_edges"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

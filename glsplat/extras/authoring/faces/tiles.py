@@ -16,8 +16,6 @@ from glsplat.extras.authoring.body.enamel import (
     tooth_of_faces,
 )
 
-__all__ = ["ToothTiles", "tile_teeth"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -33,8 +33,6 @@ from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Level, Splats
 
-__all__ = ["ConeConfig", "hidden", "with_cones", "without_useless_cones"]
-
 F64 = NDArray[np.float64]
 _FAR_RADII, _NEAR_RADII = 8.0, (2.0, 5.0)  # distance of the cameras that make and that test cones
 _EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visible from everywhere

@@ -16,8 +16,6 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.finish.level_merge import merged
 from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 
-__all__ = ["FittedConfig", "fitted_levels", "reduced"]
-
 Report = Callable[[str, float], None]
 
 _MIN_SIZE_PX = 160  # a side, of a whole figure

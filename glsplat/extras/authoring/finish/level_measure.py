@@ -30,8 +30,6 @@ from glsplat.renderer.levels import Proxy
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 
-__all__ = ["MeasureConfig", "Pictures", "Viewpoint", "box_psnr", "measured", "viewpoints_of"]
-
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 Scene = TypeVar("Scene", bound=Splats | Avatar)

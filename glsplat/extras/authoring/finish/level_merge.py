@@ -25,8 +25,6 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["Cover", "covered", "merged", "merged_levels"]
-
 F64 = NDArray[np.float64]
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]

@@ -17,8 +17,6 @@ from glsplat.extras.authoring.finish.level_merge import Cover, area_of, covered,
 from glsplat.gl.context import Context
 from glsplat.splats import Splats
 
-__all__ = ["MIN_LEVEL_SPLATS", "halves", "with_levels", "with_merged_levels"]
-
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
 

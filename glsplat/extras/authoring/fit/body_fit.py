@@ -36,18 +36,6 @@ from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.meshes import vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = [
-    "MAX_FIGURE_PX",
-    "BodyFit",
-    "FittedView",
-    "assemble_fit",
-    "converge",
-    "fit_body",
-    "fit_clothes",
-    "follow_outlines",
-    "landmark_errors",
-]
-
 F64 = NDArray[np.float64]
 
 MAX_FIGURE_PX = 480.0

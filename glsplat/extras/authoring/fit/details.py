@@ -19,8 +19,6 @@ from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import DetectedPerson
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["fit_details"]
-
 F64 = NDArray[np.float64]
 
 _FINGER_JOINTS = {

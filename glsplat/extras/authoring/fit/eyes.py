@@ -17,8 +17,6 @@ from glsplat.extras.authoring.networks.eye import EyeLook, read_eye
 from glsplat.extras.authoring.networks.face import Face, eye_of
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["EYE_SIDES", "EyeLook", "Eyeball", "eyeball", "iris_angle", "read_eyes"]
-
 F64 = NDArray[np.float64]
 
 EYE_SIDES = ("left", "right")

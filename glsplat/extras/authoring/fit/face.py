@@ -27,8 +27,6 @@ from glsplat.extras.authoring.networks.face import Face
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["FacePlaces", "face_places", "face_turn", "fit_face"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -20,8 +20,6 @@ from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.solve.limits import BOXES, FINGER_HIGH, FINGER_LOW
 
-__all__ = ["CARRIERS", "HandPlaces", "fit_hand", "hand_places", "hand_size"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

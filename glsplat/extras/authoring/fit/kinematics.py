@@ -12,8 +12,6 @@ from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["PLACE", "Hinges", "PosedBody", "derivative_column", "fully_posed", "projected"]
-
 F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body, Points
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["LANDMARK_COUNT", "Landmarks", "landmarks"]
-
 F64 = NDArray[np.float64]
 
 LANDMARK_COUNT = 33

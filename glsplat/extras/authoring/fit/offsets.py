@@ -12,8 +12,6 @@ from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["OFFSET_RANGE_M", "face_vertices", "offset_directions", "smooth_offsets", "sole_vertices"]
-
 F64 = NDArray[np.float64]
 
 OFFSET_RANGE_M = -0.03, 0.12

@@ -13,8 +13,6 @@ from glsplat.extras.authoring.geometry.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import component_sums, lengths, unit_vectors
 
-__all__ = ["Rim", "brimless", "edge_distances", "find_rim", "half_gaps", "lengths_inside", "overlap", "projected_mask"]
-
 F64 = NDArray[np.float64]
 
 _MAX_BRIM_HEIGHT_FRACTION, _MIN_BRIM_WIDTH_FRACTION = 0.045, 0.02  # of the person's height; hair is higher

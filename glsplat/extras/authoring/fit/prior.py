@@ -10,19 +10,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.fit.kinematics import Hinges
 from glsplat.extras.authoring.fit.standing.arms import ArmMixture
 
-__all__ = [
-    "CAMERA_HEIGHT",
-    "HINGES",
-    "MEAN",
-    "POSED",
-    "ROLL_SD_RAD",
-    "SHAPE_SD",
-    "SPREAD",
-    "STATURE_M",
-    "TURN_SD_RAD",
-    "PosePrior",
-]
-
 F64 = NDArray[np.float64]
 
 # joint without its side -> axis, mean and standard deviation in radians, for the left side. The mean is a relaxed

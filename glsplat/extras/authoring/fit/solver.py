@@ -16,8 +16,6 @@ from glsplat.extras.authoring.fit.landmarks import Landmarks
 from glsplat.extras.authoring.fit.outline import Rim
 from glsplat.extras.authoring.fit.view import View
 
-__all__ = ["BodySolver", "KnownShape"]
-
 F64 = NDArray[np.float64]
 
 _POSE_CHANGE_SD_RAD = 0.06  # between two pictures of one session

@@ -13,8 +13,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.extras.authoring.networks.people import SIDES, degrees_between
 
-__all__ = ["View", "facing"]
-
 F64 = NDArray[np.float64]
 
 _MIN_FIGURE_PX = 64

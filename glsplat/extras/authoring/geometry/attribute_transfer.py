@@ -11,8 +11,6 @@ from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["expression_maps", "merged_shapes", "transferred_shapes", "transferred_surface"]
-
 F64 = NDArray[np.float64]
 
 _MAX_SOURCES = 4  # finer splats averaged into a coarser one's surface

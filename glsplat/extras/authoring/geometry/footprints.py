@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.reference import AA_FLOOR, dilated_covariances, jacobians
 
-__all__ = ["Footprints", "SplatGradients", "footprints", "transmittance"]
-
 F64 = NDArray[np.float64]
 
 EPS2D, ALPHA_MAX, ALPHA_MIN, MAX_SIGMA = 0.3, 0.99, 1 / 255, 3.33  # px^2, and the rest of docs/conventions.md

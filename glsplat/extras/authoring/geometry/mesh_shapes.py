@@ -16,8 +16,6 @@ from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes
 from glsplat.splats import Splats
 
-__all__ = ["area_factors", "body_morphs", "shapes_of", "with_shapes"]
-
 F64 = NDArray[np.float64]
 
 _MIN_MOVE_M = 1e-4  # entries that move less are dropped, unless they bend

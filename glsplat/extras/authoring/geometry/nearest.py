@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
 
-__all__ = ["NearestPoints", "NearestWeights", "nearest_on", "nearest_weights"]
-
 F64 = NDArray[np.float64]
 
 _CANDIDATES = 8  # triangles tested for each point

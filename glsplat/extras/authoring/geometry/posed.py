@@ -13,8 +13,6 @@ from glsplat.rotations import matrix_quaternions, quaternion_matrices, quaternio
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["PosedSplats", "axes_of", "drawable", "placed", "posed_splats"]
-
 F64 = NDArray[np.float64]
 
 

@@ -13,8 +13,6 @@ from glsplat.camera import Camera
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import component_sums
 
-__all__ = ["box_pixels", "mesh_picture", "mesh_picture_and_depth", "pixel_span", "visible_faces"]
-
 
 def visible_faces(
     mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera

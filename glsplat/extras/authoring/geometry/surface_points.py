@@ -11,8 +11,6 @@ from scipy.sparse import csr_array
 
 from glsplat.rotations import unit_vectors
 
-__all__ = ["SurfacePoints", "barycentric_matrix", "triangle_areas"]
-
 F64 = NDArray[np.float64]
 
 

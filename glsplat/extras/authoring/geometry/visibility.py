@@ -13,8 +13,6 @@ from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-__all__ = ["EYES", "GAZE_LIDS", "HEAD", "VisiblePart", "probe_poses", "sphere", "sphere_around", "visible_surface"]
-
 EYES = ("left_eye_smplhf", "right_eye_smplhf")
 """Joints that turn the eyeballs."""
 HEAD = ("head", "jaw", *EYES)

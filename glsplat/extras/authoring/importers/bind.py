@@ -11,8 +11,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["bind_to_mesh"]
-
 
 def bind_to_mesh(splats: Splats, mesh: RiggedMesh, reach: float = 0.05) -> Avatar:
     """Return an avatar of static splats in the mesh's zero pose, with the weights of the nearest surface points.

@@ -28,8 +28,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["FOLLOW_MODES", "Follow", "is_lam_zip", "load_lam_zip"]
-
 Follow = Literal["weights", "head"]
 FOLLOW_MODES: tuple[Follow, ...] = ("weights", "head")
 """A splat moves by the weights of its vertex, or, as in the public renderer, only by the joint called head."""

@@ -19,8 +19,6 @@ from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
 
-__all__ = ["load_lhm_dump"]
-
 F64 = NDArray[np.float64]
 
 _LHM_KEYS: dict[str, tuple[int | str, ...]] = {

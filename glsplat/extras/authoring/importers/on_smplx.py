@@ -20,8 +20,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["on_smplx"]
-
 
 def on_smplx(avatar: Avatar, rig_map: Mapping[str, str | None] | None = None) -> Avatar:
     """Return the avatar in SMPL-X's T-pose, y up, facing +z, its splats bound to the matching SMPL-X joints.

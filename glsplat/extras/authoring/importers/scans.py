@@ -15,8 +15,6 @@ from glsplat.extras.formats.obj import flat, parse_obj, textures_of
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skeleton import Skeleton
 
-__all__ = ["read_obj_person"]
-
 _MAX_MEDIAN_M, _MAX_P95_M = 0.06, 0.2  # distance of vertices from the body
 
 

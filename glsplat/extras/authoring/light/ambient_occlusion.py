@@ -13,8 +13,6 @@ from glsplat.extras.authoring.geometry.visibility import sphere
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums
 
-__all__ = ["ambient_occlusion"]
-
 F64 = NDArray[np.float64]
 
 _DIRECTIONS = 48

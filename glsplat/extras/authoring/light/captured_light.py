@@ -29,8 +29,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["CapturedLight", "captured_light", "with_captured_light"]
-
 F64 = NDArray[np.float64]
 
 # of the lamp's direction (tangents) and log strength; wide, since faces may be lit from the side

@@ -13,8 +13,6 @@ from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["cloth_normals"]
-
 F64 = NDArray[np.float64]
 
 _CLOTH_SMOOTHING_M, _NECK_SMOOTHING_M, _BARE_SMOOTHING_M = 0.03, 0.01, 0.002  # bare: faces and hands

@@ -18,8 +18,6 @@ from glsplat.rotations import signed_axes, unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-__all__ = ["SurfaceLocations", "locate_splats", "open_occlusion", "with_surface"]
-
 F64 = NDArray[np.float64]
 
 _POINT_SPACING_M, _MAX_POINTS = 0.004, 64  # on triangles; points of one triangle

@@ -15,8 +15,6 @@ from glsplat.errors import FormatError
 
 from .catalogue import Model, Source
 
-__all__ = ["members", "sha256"]
-
 _Open = Callable[[], IO[bytes]]
 _Find = Callable[[str], tuple[int, _Open]]  # from a member's name to its size in bytes and opener; KeyError if absent
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DEFAULT", "LPIPS", "PHOTO", "SOURCES", "Model", "Source"]
-
 DEFAULT = "photo"
 """Source of ``glsplat models get`` without a name."""
 

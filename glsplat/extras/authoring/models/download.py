@@ -13,8 +13,6 @@ from glsplat.errors import GlsplatError
 
 from .catalogue import Source
 
-__all__ = ["archives", "delete_archives", "download_archive"]
-
 _PIP_TIMEOUT_S = 1800  # 64 MB at 36 kB/s
 
 # pip reads a source archive's name and version through setuptools, which runs the archive's own code. This replacement

@@ -14,8 +14,6 @@ from .archives import members, sha256
 from .catalogue import Model, Source
 from .download import delete_archives, download_archive
 
-__all__ = ["folder", "get", "path_of", "remove", "state_of"]
-
 _DOWNLOAD = "download"  # subfolder of an archive, until all its files are unpacked
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from .network import Crop, network
 
-__all__ = ["Eye", "EyeLook", "find_eye", "read_eye"]
-
 F64 = NDArray[np.float64]
 
 _INPUT_PX = 64  # side of the network's input

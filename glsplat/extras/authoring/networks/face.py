@@ -11,8 +11,6 @@ from .eye import Eye, find_eye, read_eye
 from .network import Crop, network, sigmoid
 from .person import DetectedBody
 
-__all__ = ["Face", "eye_of", "face_probability", "find_face"]
-
 _INPUT_PX = 192  # side of the network's input
 _CROP_ROUNDS = 2  # the second crop comes from the first landmarks
 _SURE_PRESENCE = 0.9  # no further crop is tried

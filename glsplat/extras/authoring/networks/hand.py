@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from .network import Crop, network
 from .person import DetectedBody
 
-__all__ = ["LANDMARKS", "Hand", "find_hand"]
-
 LANDMARKS = (
     "wrist thumb_cmc thumb_mcp thumb_ip thumb_tip index_mcp index_pip index_dip index_tip middle_mcp middle_pip "
     "middle_dip middle_tip ring_mcp ring_pip ring_dip ring_tip pinky_mcp pinky_pip pinky_dip pinky_tip"

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.models.store import path_of
 
-__all__ = ["Crop", "OnnxNetwork", "network", "sigmoid"]
-
 
 class OnnxNetwork:
     """A network, named as in the store. Raises GlsplatError if its file is missing.

@@ -14,8 +14,6 @@ from .face import Face, face_probability, find_face
 from .hand import Hand, find_hand
 from .person import LANDMARKS, DetectedBody, find_body
 
-__all__ = ["SIDES", "DetectedPerson", "degrees_between", "find_person", "swap_sides"]
-
 Degrees = TypeVar("Degrees", float, NDArray[np.float64])
 
 SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from .network import Crop, network, sigmoid
 
-__all__ = ["LANDMARKS", "DetectedBody", "bounds", "enclosing_square", "find_body", "find_body_in_box", "people_mask"]
-
 LANDMARKS = (
     "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear "
     "mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky "

@@ -22,8 +22,6 @@ from glsplat.rotations import nearest_rotations, quaternion_matrices
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["fit_colours"]
-
 F64 = NDArray[np.float64]
 
 _PERSON_HEIGHT_PX = 900.0  # in the resampled photographs

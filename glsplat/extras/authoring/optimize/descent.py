@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.compute.compiled import compiled
 
-__all__ = ["COUNT", "Bounds", "compose", "pose", "step"]
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 

@@ -19,8 +19,6 @@ from glsplat.extras.authoring.compute.compiled import compiled
 from glsplat.extras.authoring.geometry.footprints import ALPHA_MAX, ALPHA_MIN, EPS2D, MAX_SIGMA
 from glsplat.reference import AA_FLOOR
 
-__all__ = ["GRADIENTS", "SUMS", "TILE", "backward", "draw", "gather", "list_entries", "project"]
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]

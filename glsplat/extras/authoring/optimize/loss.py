@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.compute.compiled import compiled
 
-__all__ = ["Loss", "loss_of"]
-
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 

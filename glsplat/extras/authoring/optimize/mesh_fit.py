@@ -9,8 +9,6 @@ from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.optimize.refine import RefineConfig, refine
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["STEPS", "fitted_to_mesh"]
-
 STEPS = 900
 """About a minute on two cores for 40,000 splats, drawing included."""
 

@@ -21,8 +21,6 @@ from glsplat.skinning.pose import Pose
 if TYPE_CHECKING:
     from glsplat.extras.authoring.optimize.target_pictures import TargetPicture
 
-__all__ = ["fitted_to_photos"]
-
 _COLOUR_ROUNDS = 8  # where colours alone are fitted
 _PERSON_HEIGHT_PX = 1536  # in the resampled photographs
 _PHOTO_REPEATS = 5  # photographs in each pass over all pictures

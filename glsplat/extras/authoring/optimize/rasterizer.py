@@ -17,8 +17,6 @@ from glsplat.extras.authoring.optimize.kernels import GRADIENTS, RECORD, SUMS, T
 from glsplat.extras.authoring.optimize.view_consistency import Shares, list_shares
 from glsplat.io.cores import cores
 
-__all__ = ["Gradients", "Rasterizer"]
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 

@@ -24,8 +24,6 @@ from glsplat.rotations import nearest_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["RefineConfig", "random_pose", "rate_decay", "refine"]
-
 F64 = NDArray[np.float64]
 
 
@@ -62,6 +60,7 @@ class Adam:
         self.count = np.zeros(len(value))
 
     def step(self, gradient: F64, visible: NDArray[np.bool_], decay: float) -> None:
+        """Move the visible rows against their gradient."""
         g = gradient[visible]
         self.count[visible] += 1
         shape = (-1,) + (1,) * (g.ndim - 1)

@@ -32,8 +32,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import Skin, strongest_joint
 from glsplat.splats import SH_C0, Splats
 
-__all__ = ["FitConfig", "fitted"]
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Report = Callable[[str, float], None]

@@ -24,8 +24,6 @@ from glsplat.io.cores import cores
 if TYPE_CHECKING:
     from glsplat.extras.authoring.optimize.view_consistency import Shares
 
-__all__ = ["ConsistentSurface", "load_compiled", "view_consistent"]
-
 F64 = NDArray[np.float64]
 
 _ROUNDS = 3

@@ -25,8 +25,6 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Splats
 
-__all__ = ["TargetPicture", "ViewConfig", "consistency_views", "pictures_of", "pictures_of_splats"]
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]

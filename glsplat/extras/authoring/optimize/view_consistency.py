@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.compute.compiled import compiled
 from glsplat.extras.authoring.optimize.kernels import _ALPHA_CAP, TILE, _alpha, _edges, _read, _span
 
-__all__ = ["SUMS", "VALUES", "Shares", "gather_visible", "list_shares"]
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]

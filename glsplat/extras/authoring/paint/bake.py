@@ -15,8 +15,6 @@ from glsplat.extras.authoring.paint.picture_layers.fill import nearest_known
 from glsplat.extras.authoring.paint.texels import texels_of
 from glsplat.meshes import MeshPart, RiggedMesh
 
-__all__ = ["TEXTURE_SIZES_PX", "bake"]
-
 F64 = NDArray[np.float64]
 Colours = Callable[[SurfacePoints], F64]
 

@@ -22,8 +22,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Front", "FrontMatches", "TransferredColours", "match_to_front"]
-
 F64 = NDArray[np.float64]
 
 _CAMERA_DISTANCE_M = 60.0  # nearly parallel rays

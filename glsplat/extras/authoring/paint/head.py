@@ -17,8 +17,6 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_linear
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["BackOfHead", "back_of_head", "ears_of", "vertices_of"]
-
 F64 = NDArray[np.float64]
 
 _CROWN_FRACTION = 0.12  # of the head's height, from the top: where hair is sampled

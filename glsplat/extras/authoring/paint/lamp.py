@@ -15,8 +15,6 @@ from scipy.cluster.vq import kmeans2
 
 from glsplat.extras.authoring.compute.levenberg import least_squares
 
-__all__ = ["Lamp", "find_light"]
-
 F64 = NDArray[np.float64]
 
 _FLOOR_FRACTION, _CEILING_FRACTION = 0.7, 1.3  # ambient light from below and from above, over its mean

@@ -10,16 +10,14 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import EYES
+from glsplat.extras.authoring.networks.eye import EyeLook
 from glsplat.extras.authoring.paint.eyes import eye_colours
 from glsplat.extras.authoring.paint.head import vertices_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb
-
-__all__ = ["EyesAndMouth", "eyes_and_mouth_of"]
 
 F64 = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import mirror_vertices, trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.compute.threads import map_threads, run_in_background
-from glsplat.extras.authoring.fit.eyes import EyeLook
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import HEAD
+from glsplat.extras.authoring.networks.eye import EyeLook
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
 from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
@@ -29,8 +29,6 @@ from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.meshes import RiggedMesh
 from glsplat.pictures import to_srgb
-
-__all__ = ["COLOUR_DIGITS", "Paint", "Painter", "painter_of"]
 
 F64 = NDArray[np.float64]
 

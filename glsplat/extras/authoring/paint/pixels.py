@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from glsplat.pictures import to_linear
 from glsplat.rotations import component_sums
 
-__all__ = ["bilinear", "detail_of", "linear_light", "upscale_labels"]
-
 F64 = NDArray[np.float64]
 
 _DETAIL_PATCH_PX = 7

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ramp", "smoothstep"]
-
 F64 = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 

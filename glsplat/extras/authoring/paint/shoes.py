@@ -26,8 +26,6 @@ from glsplat.rotations import component_sums, lengths
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Footwear", "ShoePainter", "footwear_of", "shoe_painter"]
-
 F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY = 0.3

@@ -14,8 +14,6 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.pictures import to_srgb
 from glsplat.rotations import lengths
 
-__all__ = ["face_colour", "lab", "likeness", "unlit"]
-
 F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY, _MIN_VERTICES = 0.6, 60

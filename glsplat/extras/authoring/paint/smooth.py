@@ -13,8 +13,6 @@ from glsplat.extras.authoring.body.segments import HANDS
 from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["fill_smoothly"]
-
 F64 = NDArray[np.float64]
 
 _ARMS = [n for n, name in enumerate(JOINT_NAMES) if any(word in name for word in ("shoulder", "elbow", *HANDS))]

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Texels", "texels_of"]
-
 F64 = NDArray[np.float64]
 
 _MIN_AREA_TEXELS = 1e-9  # of a triangle that has texels

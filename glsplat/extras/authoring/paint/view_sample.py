@@ -18,8 +18,6 @@ from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums, lengths
 
-__all__ = ["FittedPicture", "ViewSample"]
-
 F64 = NDArray[np.float64]
 
 _DEPTH_TOLERANCE_M = 0.012  # behind the nearest surface

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
-__all__ = ["Exif", "read_exif"]
-
 _FILM_DIAGONAL_MM = math.hypot(36, 24)
 _MIN_FOCAL_MM, _MAX_FOCAL_MM = 10, 200  # on 35 mm film: lenses that photograph a whole person
 

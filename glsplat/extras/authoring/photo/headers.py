@@ -14,8 +14,6 @@ from PIL.WebPImagePlugin import WebPImageFile
 
 from glsplat.errors import FormatError
 
-__all__ = ["ImageHeader", "read_header"]
-
 # the readers themselves, not Image.open(), which warns about large pictures: the caller checks the size
 _READERS: dict[str, type[ImageFile]] = {"JPEG": JpegImageFile, "PNG": PngImageFile, "WebP": WebPImageFile}
 _SIGNATURES = ((b"\xff\xd8\xff", "JPEG"), (b"\x89PNG\r\n\x1a\n", "PNG"))

@@ -19,8 +19,6 @@ from glsplat.io.files import open_regular
 from .exif import Exif, read_exif
 from .headers import ImageHeader, read_header
 
-__all__ = ["MAX_BYTES", "MAX_PIXELS", "MAX_SIDE_PX", "Photo", "decode_photo", "read_photo"]
-
 MAX_PIXELS = 64_000_000
 """Larger pictures are refused before they are decoded."""
 MAX_BYTES = 100_000_000

@@ -19,10 +19,11 @@ from glsplat.extras.authoring.dress.skirt import dress
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, moving_face, with_face
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.details import fit_details
-from glsplat.extras.authoring.fit.eyes import EyeLook, read_eyes
+from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.light.captured_light import captured_light, with_captured_light
+from glsplat.extras.authoring.networks.eye import EyeLook
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
@@ -46,8 +47,6 @@ from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_
 from glsplat.extras.authoring.templates.head_view import head_view
 from glsplat.extras.authoring.templates.library import HAIR, hand_skin, template
 from glsplat.meshes import RiggedMesh
-
-__all__ = ["MIN_TRUST", "PHONE_FOCAL_FACTOR", "SIDES", "Builtin"]
 
 SIDES = ("front", "back", "left", "right")
 _MIN_SPLATS_WITH_FACE = 8_000  # below, an avatar has none to spare for teeth and lashes

@@ -30,8 +30,6 @@ from glsplat.extras.authoring.networks.people import DetectedPerson
 
 from .reconstructor import Mask, Options, Picture, Progress
 
-__all__ = ["Lhm", "from_environment"]
-
 _SCRIPT = "lhm_script.py"
 _TAIL_BYTES = 8192  # of its output that are kept
 _PROGRESS_LINE = re.compile(rb"glsplat: ([01]\.\d+) ([\w ]+)")  # printed by the script

@@ -9,8 +9,6 @@ from typing import Any
 
 from glsplat.errors import GlsplatError
 
-__all__ = ["Plugins", "one_line"]
-
 
 @dataclass(frozen=True)
 class Plugins:

@@ -17,18 +17,6 @@ from glsplat.meshes import RiggedMesh
 if TYPE_CHECKING:
     from glsplat.extras.authoring.fit.body_fit import BodyFit
 
-__all__ = [
-    "FittedBody",
-    "MadeAvatar",
-    "Mask",
-    "MeshReconstructor",
-    "Options",
-    "Picture",
-    "Progress",
-    "Reconstructor",
-    "ReportingReconstructor",
-]
-
 Mask = NDArray[np.bool_]
 Progress = Callable[[str, float], None]
 """Called with the name of a step and the fraction of it that is done."""

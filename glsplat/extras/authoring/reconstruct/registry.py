@@ -5,8 +5,6 @@ from __future__ import annotations
 from .plugins import Plugins
 from .reconstructor import Reconstructor
 
-__all__ = ["GROUP", "OWN", "named", "names"]
-
 GROUP = "glsplat.reconstructors"
 """An entry point names a class or function that makes a ``Reconstructor`` without arguments."""
 

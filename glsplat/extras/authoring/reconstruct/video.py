@@ -32,8 +32,6 @@ from .builtin import MIN_TRUST, PHONE_FOCAL_FACTOR
 from .photos import today
 from .reconstructor import Options
 
-__all__ = ["FORMS", "FRAMES", "MAX_FRAMES", "VideoResult", "from_pictures", "from_video", "reconstruct_frames"]
-
 FORMS = ("mesh", "splats")
 FRAMES = 30
 """Frames of a video that are used by default."""

@@ -25,8 +25,6 @@ from glsplat.rotations import lengths
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["Cells", "Cloud", "SamplerConfig", "avatar_of", "prepare_cells", "skin_of", "tessellate"]
-
 _EXPECTED_SIZE_SAMPLES = 6.0  # weight of a cell's expected size against its samples
 _MIN_NORMAL_STRENGTH = 0.2  # length of a cell's mean normal; below it the cell's flattest direction is used
 # variance of a splat's short axis, at least: of the mean of both axes, and of the median splat's

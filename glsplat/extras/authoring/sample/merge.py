@@ -11,8 +11,6 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-__all__ = ["merge_avatars"]
-
 
 def merge_avatars(avatar: Avatar, other: Avatar) -> Avatar:
     """Return both avatars in one, on the first one's skeleton; without levels and cones.

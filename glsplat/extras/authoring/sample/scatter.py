@@ -15,8 +15,6 @@ from glsplat.extras.authoring.sample.cells import Cloud, SamplerConfig, avatar_o
 from glsplat.extras.authoring.sample.surface import allot, face_densities, face_zones
 from glsplat.meshes import RiggedMesh, vertex_normals
 
-__all__ = ["PHOTO_SAMPLER", "Scatter", "even_points", "scatter"]
-
 F64 = NDArray[np.float64]
 
 PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, inset=0.002, round_off=8)

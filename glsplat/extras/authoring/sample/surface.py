@@ -19,8 +19,6 @@ from glsplat.extras.authoring.sample.cells import Cells, Cloud, SamplerConfig, a
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 
-__all__ = ["MIN_SPLATS", "SamplerConfig", "allot", "face_densities", "face_zones", "joint_zones", "make_avatar"]
-
 Progress = Callable[[str, float], None]
 MIN_SPLATS = 100
 """Of an avatar."""

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
 
-__all__ = ["MaskConfig", "person_mask"]
-
 Float = NDArray[np.float32]
 
 

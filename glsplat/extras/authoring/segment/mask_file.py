@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
 
-__all__ = ["MaskSource", "read_mask"]
-
 MaskSource = str | os.PathLike[str] | NDArray[np.bool_]
 """A picture file, or a mask [H, W] of the pixels of ``Photo.picture``."""
 

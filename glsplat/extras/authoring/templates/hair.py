@@ -18,8 +18,6 @@ from glsplat.extras.authoring.templates.library import template
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MIN_AGREEMENT", "FittedHair", "carved", "fit_hair", "scattered"]
-
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 

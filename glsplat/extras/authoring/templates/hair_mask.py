@@ -14,8 +14,6 @@ from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.templates.head_view import HeadView
 from glsplat.pictures import to_linear, to_srgb
 
-__all__ = ["SeenHair", "seen_hair"]
-
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 

@@ -25,8 +25,6 @@ from glsplat.rotations import component_sums, lengths, unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import SH_C0
 
-__all__ = ["HAIR_SPLATS", "covered_by_hair", "with_template_hair"]
-
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 

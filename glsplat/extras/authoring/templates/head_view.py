@@ -16,8 +16,6 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.rotations import nearest_rotations
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["HeadView", "head_view", "value_at"]
-
 F64 = NDArray[np.float64]
 
 _DEPTH_HEIGHT_PX = 900  # of the picture with the body's depth

@@ -14,8 +14,6 @@ from glsplat.extras.formats.person import read_person
 from glsplat.extras.formats.texture import decode_texture
 from glsplat.meshes import RiggedMesh
 
-__all__ = ["HAIR", "SHOES", "SHOE_TOP_M", "hand_skin", "template"]
-
 HAIR = "short01 short02 short03 short04 bob01 bob02 long01 ponytail01 braid01 afro01".split()
 """Names of the hair templates, bound to the head."""
 

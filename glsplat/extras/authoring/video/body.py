@@ -31,8 +31,6 @@ from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 
-__all__ = ["fit_turning", "key_views"]
-
 F64 = NDArray[np.float64]
 
 _KEY_VIEWS = 8  # solved jointly

@@ -15,8 +15,6 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, MAX_SIDE_PX
 from glsplat.io.files import open_regular
 
-__all__ = ["MIN_FRAMES", "each_frame", "is_video", "read_frames"]
-
 MIN_FRAMES = 8
 """Frames that a turn needs."""
 _MAX_BYTES = 4_000_000_000

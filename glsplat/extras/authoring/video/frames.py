@@ -18,16 +18,6 @@ from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.video.film import MIN_FRAMES, is_video, read_frames
 from glsplat.extras.authoring.video.turns import facing_as, facings
 
-__all__ = [
-    "CheckedFrames",
-    "Frame",
-    "FramePicture",
-    "FramePictures",
-    "FrameSource",
-    "check_frames",
-    "frames_of",
-]
-
 FrameSource = str | os.PathLike[str]
 """A video, or one of several picture files."""
 

@@ -17,8 +17,6 @@ from glsplat.extras.authoring.networks.hand import find_hand
 from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between, swap_sides
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
-__all__ = ["facing_as", "facings"]
-
 F64 = NDArray[np.float64]
 
 _DIRECTIONS = 72

@@ -71,10 +71,9 @@ def aligned_for_contrasts(table: Table, effect: Effect, values: F64 | None = Non
     return y - _means(table, whole, y) + _means(table, effect, y) - _means(table, (), y)
 
 
-def ranked_for_contrasts(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+def ranked_for_contrasts(table: Table, effect: Effect) -> F64:
     """The ranks of :func:`aligned_for_contrasts`, [..., N]."""
-    y = table.values if values is None else values
-    return average_ranks(_settled(aligned_for_contrasts(table, effect, values), y))
+    return average_ranks(_settled(aligned_for_contrasts(table, effect), table.values))
 
 
 def _settled(out: F64, y: F64) -> F64:

@@ -23,7 +23,7 @@ class EffectSize:
     high: float
 
 
-def partial_eta_squared(f: float, df1: float, df2: float, level: float = LEVEL) -> EffectSize:
+def partial_eta_squared(f: float, df1: float, df2: float) -> EffectSize:
     """F df1 / (F df1 + df2), and the interval from those noncentral F distributions that F just fits into.
 
     Steiger (2004), "Beyond the F test": limits l of the noncentrality become l / (l + df1 + df2 + 1). Of a
@@ -32,7 +32,7 @@ def partial_eta_squared(f: float, df1: float, df2: float, level: float = LEVEL) 
     nan = float("nan")
     if not (np.isfinite(f) and df2 > 0):
         return EffectSize(1.0 if f == np.inf else nan, nan, nan)
-    limits = [_noncentrality(f, df1, df2, (1 + level) / 2), _noncentrality(f, df1, df2, (1 - level) / 2)]
+    limits = [_noncentrality(f, df1, df2, (1 + LEVEL) / 2), _noncentrality(f, df1, df2, (1 - LEVEL) / 2)]
     low, high = (limit / (limit + df1 + df2 + 1) for limit in limits)
     return EffectSize(f * df1 / (f * df1 + df2), low, high)
 
@@ -59,7 +59,7 @@ def _resampled(count: int, seed: int) -> F64:
     return drawn
 
 
-def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0, level: float = LEVEL) -> EffectSize:
+def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0) -> EffectSize:
     """How much more often an answer [N] of the first is larger than one [M] of the second than the reverse.
 
     Cliff (1993), "Dominance statistics": 1 where every one is larger, 0 where neither prevails. The interval is the
@@ -75,5 +75,5 @@ def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0, level:
     one = _resampled(n, seed)
     other = one if paired else _resampled(m, seed + 1)
     drawn = ((one @ larger) * other).sum(axis=1) / (n * m)
-    low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return EffectSize(float(larger.mean()), float(low), float(high))

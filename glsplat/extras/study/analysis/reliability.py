@@ -40,7 +40,7 @@ class Reliability:
     """The factor explains an item wholly (a Heywood case): omega is not to be trusted."""
 
 
-def reliability(items: F64, level: float = LEVEL) -> Reliability:
+def reliability(items: F64) -> Reliability:
     """Of answers [N, K], NaN where missing; rows with a gap are left out.
 
     Alpha: Cronbach (1951), its interval Feldt (1965), exact for normal answers. Omega: McDonald (1999), from the
@@ -59,7 +59,7 @@ def reliability(items: F64, level: float = LEVEL) -> Reliability:
         return Reliability(n, k, left_out, None, None, None, None, None, False)
     alpha = k / (k - 1) * (1 - np.trace(covariance) / total)
     df = n - 1, (n - 1) * (k - 1)
-    low, high = (float(1 - (1 - alpha) * fdtri(*df, share)) for share in ((1 + level) / 2, (1 - level) / 2))
+    low, high = (float(1 - (1 - alpha) * fdtri(*df, share)) for share in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))
     correlation = covariance / np.outer(deviations, deviations)
     mean = (correlation.sum() - k) / (k * (k - 1))
     standardised = float(k * mean / (1 + (k - 1) * mean))

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, unit_vectors
 
-__all__ = ["ArmMixture", "arm_mixture"]
-
 F64 = NDArray[np.float64]
 
 _MIN_BEND_SINE = 0.05  # of an elbow whose axis is determined

@@ -18,8 +18,6 @@ from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-__all__ = ["before_trunk", "beside_arms", "hands", "hidden_arms"]
-
 F64 = NDArray[np.float64]
 
 _MAX_FIGURE_PX = 300.0  # height of the person in the depth map

@@ -21,8 +21,6 @@ from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["MIN_ASIDE_RAD", "arm_direction_error", "stances_of", "trusted_world"]
-
 F64 = NDArray[np.float64]
 
 MIN_ASIDE_RAD = 0.35

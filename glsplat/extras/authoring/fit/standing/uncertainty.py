@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 from glsplat.extras.authoring.fit.view import View
 
-__all__ = ["LIMBS", "limb_uncertainty", "missing_part"]
-
 LIMBS: dict[str, tuple[int, ...]] = {
     "head": (0,),
     "left arm": (13, 15),

@@ -37,8 +37,6 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["Cloth", "cloth_of"]
-
 F64 = NDArray[np.float64]
 Ints = NDArray[np.intp]
 

@@ -16,8 +16,6 @@ from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["with_hair"]
-
 F64 = NDArray[np.float64]
 
 _THICKNESS_M = 0.012  # of hair over a back

@@ -18,8 +18,6 @@ from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.meshes import MeshPart
 from glsplat.pictures import to_linear
 
-__all__ = ["Hands", "hands_of"]
-
 F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.rotations import lengths
 
-__all__ = ["NECKLINE_DISTANCE", "Material"]
-
 F64 = NDArray[np.float64]
 
 _SAME_TOLERANCES, _OTHER_TOLERANCES = 1.0, 1.5  # from a cloth's colour: surely the same cloth, surely another one

@@ -10,8 +10,6 @@ from scipy.ndimage import binary_opening
 
 from glsplat.extras.authoring.dress.coat import unlike
 
-__all__ = ["goes_around"]
-
 F64 = NDArray[np.float64]
 
 _PARTS = 7  # of the visible width

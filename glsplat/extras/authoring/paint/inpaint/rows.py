@@ -11,19 +11,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.dress.coat import unlike
 from glsplat.rotations import component_sums, lengths
 
-__all__ = [
-    "MIN_ROW_WEIGHT",
-    "MIN_TOLERANCE",
-    "ROW_M",
-    "SAME_COLOUR_DISTANCE",
-    "Rows",
-    "in_one_tone",
-    "main_colour",
-    "rows_of",
-    "tolerance_of",
-    "without_mixed_rows",
-]
-
 F64 = NDArray[np.float64]
 
 ROW_M = 0.01

@@ -10,8 +10,6 @@ from glsplat.extras.authoring.paint.front_to_back_transfer import Front
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["cut_sleeves"]
-
 F64 = NDArray[np.float64]
 
 _ARM_RADIUS_M = 0.05

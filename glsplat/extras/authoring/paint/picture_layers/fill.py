@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["disc", "fill_hole", "nearest_known", "nearest_known_labels", "weave_of"]
-
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
 

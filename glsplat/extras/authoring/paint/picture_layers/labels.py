@@ -17,8 +17,6 @@ from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
 from glsplat.rotations import component_sums
 
-__all__ = ["NOTHING", "labels_of"]
-
 Mask = NDArray[np.bool_]
 F64 = NDArray[np.float64]
 Labels = NDArray[np.intp]

@@ -29,8 +29,6 @@ from glsplat.rotations import component_sums
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-__all__ = ["COARSE", "RIM_PX", "Layer", "PictureLayers", "rasterize"]
-
 F64 = NDArray[np.float64]
 
 COARSE = 2

@@ -14,8 +14,6 @@ from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
 
-__all__ = ["continue_cloth", "fill_with_patches"]
-
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
 F32 = NDArray[np.float32]

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
 from glsplat.extras.authoring.paint.ramps import ramp
 
-__all__ = ["shadow_gain"]
-
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.float32]
 
