@@ -1,6 +1,6 @@
 // A WebXR session: tracking up, pictures down, three views, a panel. Everything is in the room of `local-floor`.
 
-import { faces, tangentsOf } from '../space/frustum.js';
+import { isAhead, tangentsOf } from '../space/frustum.js';
 import { apply, multiply, place, translation, unit } from '../space/matrix.js';
 import { VIEWS, heading, placing, standing } from '../space/placing.js';
 import { Arc } from '../track/arc.js';
@@ -184,7 +184,8 @@ export class Immersive {
     this.#use(sample, now, frame);
     [this.#views, this.#head, this.#sample, this.#asked] = [views, head, tracked, now];
     const { hung } = this.#where;
-    const where = hung && views.some((eye) => faces(hung.glass, eye)) ? hung : this.#where;
+    // a picture shows the room or its mirror image: whoever is in sight beside the mirror must not vanish
+    const where = hung && isAhead(hung.glass, head) ? hung : this.#where;
     const { view } = where;
     // the glass of a mirror in no place is black: nothing shows through
     const alpha = this.mode === 'ar' || view !== 'mirror' || this.#settings.get('place') !== 'plain';

@@ -59,12 +59,10 @@ export function aroundQuad(points, transform) {
   return boundsOf(seen.flatMap((point, i) => clipped(point, seen[(i + 1) % seen.length])));
 }
 
-/** Whether the eye at `transform` has the middle of a flat four-cornered thing in sight. */
-export function faces(points, { transform, projection }) {
-  const middle = scale(points.reduce(add, [0, 0, 0]), 1 / points.length);
-  const [x, y, z] = apply(invert(transform), middle);
-  const { left, right, down, up } = tangentsOf(projection);
-  return z < 0 && x / -z > left && x / -z < right && y / -z > down && y / -z < up;
+/** Whether an upright flat four-cornered thing is straight ahead of the eye at `transform`. */
+export function isAhead(points, transform) {
+  const { left, right } = aroundQuad(points, transform) ?? { left: 0, right: 0 };
+  return left < 0 && right > 0;
 }
 
 /** [fx, fy, cx, cy] in pixels of a frustum that fills a picture of [width, height]. */
