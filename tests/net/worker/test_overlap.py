@@ -266,10 +266,19 @@ class Losing(Overlapped):
 
 async def test_a_client_that_leaves_with_a_picture_under_way(serve, cameras, make):
     async with serve(make()) as server, asyncio.timeout(HANG):
+        loop, begun = server.drawer, asyncio.Event()
+        turn = loop._turn
+
+        def noted(*of):
+            begun.set()
+            return turn(*of)
+
+        loop._turn = noted
         for _ in range(3 * SLOTS):  # none of its slots is lost
+            begun.clear()
             async with Client(server.url, window=3, timeout=HANG) as client:
                 await client.send(cameras)
                 await client.send(cameras)
-                await until(lambda: server.drawer._turning)
+                await begun.wait()
         assert (await stream(server.url, cameras))[0][-1] == FRAMES
-        await until(lambda: not server.drawer._turning and not server.drawer.clients)
+        await until(lambda: not loop._turning and not loop.clients)
