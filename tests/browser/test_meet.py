@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from glsplat.extras.rooms.rooms import Rooms
 from glsplat.net.backend import AvatarInfo, RenderJob
@@ -94,6 +96,37 @@ def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: 
     assert not met(mirror=True)
     look_left(page, np.pi / 6)
     page.meanwhile(lambda: sharp(mirror=True))
+
+
+def test_all_guests_stand_in_one_place(open_page: OpenPage, served: Any) -> None:
+    """Who stands opposite sees the wall behind the other, and light falls on both from one side."""
+    lit = {"place": "day", "drawer": False}
+    ann, bob = (visit(open_page, served, lit, address=f"{served.page}?room=lab&name={who}") for who in ("Ann", "Bob"))
+
+    def lights() -> list[NDArray[np.float64]]:
+        """The light that each asked for last, in the room: from the left, the right, behind and before."""
+        asked = [one.options.light for viewer in (1, 2) for one in jobs(served, viewer)[-1:]]
+        return [
+            one.irradiance(np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -1], [0, 0, 1]])) for one in asked if one is not None
+        ]
+
+    bob.meanwhile(lambda: len(found := lights()) == 2 and np.allclose(*found, atol=1e-3))
+    assert np.ptp(lights()[0], axis=0).max() > 0.1
+    seen = [cv2.imdecode(np.frombuffer(page.page.screenshot(), np.uint8), cv2.IMREAD_COLOR) for page in (ann, bob)]
+    walls = [picture[80:160].astype(float) for picture in seen]
+    assert np.abs(walls[0] - walls[1]).mean() > 5
+
+
+def test_a_mirror_hangs_ahead_until_others_come(open_page: OpenPage, served: Any) -> None:
+    page = enter_emulated(open_page, served, "?room=lab&name=Ann")
+
+    def looks_at_herself() -> bool:
+        return mirrored(jobs(served, 2)[-1])  # the second connection: in VR the page connects anew
+
+    page.meanwhile(lambda: jobs(served, 2) and looks_at_herself())
+    other = visit(open_page, served, address=f"{served.page}?room=lab&name=Bob")
+    other.until("window.glsplat.stats().shown > 0")
+    page.meanwhile(lambda: not looks_at_herself())
 
 
 def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPage, served: Any) -> None:

@@ -11,6 +11,7 @@ const TURN = (5 * Math.PI) / 180; // radians a key press
 const STEP = 0.05; // a key press moves by this part of the distance
 const ZOOM = 1.1; // a key press changes the distance by this factor
 const SLACK = 0.1; // the avatar may be off the middle by this part of the distance before the camera follows
+const BACK = 4.4; // metres from the middle of a room, which has walls at 4.6, at most
 const FACE = { down: 0.13, distance: 0.85 }; // metres: from the top of the box to the eyes, and away from them
 const FOLLOWING = 0.5; // seconds in which the camera makes up most of the rest
 
@@ -92,7 +93,7 @@ export class Orbit {
   /** Stand for a room: everybody in sight, from over the user's shoulder. */
   standBack(middle, radius) {
     const pan = middle.map((v, i) => v - this.#centre[i]);
-    this.#home = { yaw: 2.75, pitch: 0.2, distance: 2.6 + 2.2 * radius, pan, front: 0 };
+    this.#home = { yaw: 2.75, pitch: 0.2, distance: Math.min(BACK, 2.6 + 2.2 * radius), pan, front: 0 };
     this.#box = null;
     this.reset();
   }

@@ -3,7 +3,7 @@
 import { Place } from '../place/place.js';
 import { shown } from '../place/bake.js';
 import { buildPrograms } from './shaders.js';
-import { add, axis, invert, multiply, place, scale } from '../space/matrix.js';
+import { IDENTITY, add, apply, axis, invert, movePoint, multiply, place, scale } from '../space/matrix.js';
 import { cuts, extent, planeGrid } from '../space/picture.js';
 import { Grid } from './grid.js';
 
@@ -99,11 +99,11 @@ export class Painter {
 
   /**
    * One view {transform, projection, viewport}: index 0 or 1 of the pair. `room`: draw the place as well, else (in
-   * passthrough) its mirror and shadows alone. `mirror`: {glass, normal}; `blobs`: shadows of place/shadow.js, which
-   * the mirror shows where there is one; `picture` false leaves the pair out; `keeps`: what is drawn into is the canvas,
-   * for an eye that mostly rests.
+   * passthrough) its mirror and shadows alone. `seat`: the place from the space of all else here. `mirror`: {glass,
+   * normal}; `blobs`: shadows of place/shadow.js in the place, which the mirror shows where there is one; `picture`
+   * false leaves the pair out; `keeps`: what is drawn into is the canvas, for an eye that mostly rests.
    */
-  view(eye, index, { room, mirror = null, labels = [], look = 'plain', blobs = [], picture = true, keeps = false }) {
+  view(eye, index, { room, seat = IDENTITY, mirror = null, labels = [], look = 'plain', blobs = [], picture = true, keeps = false }) {
     const gl = this.#gl;
     const { transform, projection, viewport: { x, y, width, height } } = eye;
     gl.viewport(x, y, width, height);
@@ -111,9 +111,11 @@ export class Painter {
     const placed = this.place.choose(look);
     if (placed) {
       const seen = mirror && !mirror.whole ? [] : blobs; // alone there is nobody but in the mirror
-      if (room) this.place.room(eye, clip, keeps ? index : null);
-      this.place.shadows(clip, seen, room);
-      if (mirror) this.place.mirror(eye, clip, mirror, blobs, !room);
+      const there = { ...eye, transform: multiply(seat, transform) };
+      const from = new Float32Array(multiply(projection, invert(there.transform)));
+      if (room) this.place.room(there, from, keeps ? index : null);
+      this.place.shadows(from, seen, room);
+      if (mirror) this.place.mirror(there, from, moved(mirror, seat), blobs, !room);
     } else {
       if (room) this.#drawFloor(clip, transform);
       if (mirror) this.#drawMirror(clip, mirror.glass);
@@ -252,6 +254,11 @@ export class Painter {
     gl.bindVertexArray(null);
     return { array, buffer };
   }
+}
+
+/** A mirror {glass, normal} moved by a matrix without scale. */
+function moved({ glass, normal }, by) {
+  return { glass: glass.map((point) => movePoint(by, point)), normal: apply(by, [...normal, 0]).slice(0, 3) };
 }
 
 /** A vector of that length from a towards b. */

@@ -5,7 +5,7 @@ import { LOOKS } from '../place/looks.js';
 import { below, fromBox, fromFeet, fromPlaces } from '../place/shadow.js';
 import { Framing } from '../space/framing.js';
 import { onWire, turned } from '../space/light.js';
-import { IDENTITY, invert } from '../space/matrix.js';
+import { IDENTITY, fromPose, invert, multiply } from '../space/matrix.js';
 import { watcher } from '../space/placing.js';
 import { Figures } from '../stream/figures.js';
 import { Pictures } from '../stream/pictures.js';
@@ -122,7 +122,7 @@ export class Stage {
       this.drawn();
       return sent;
     }
-    const how = { room, keeps: framebuffer === null, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, seat: this.seat, keeps: framebuffer === null, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays, for a change back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
@@ -165,6 +165,12 @@ export class Stage {
     return this.info.room?.people ?? this.here?.people.room?.people ?? [];
   }
 
+  /** The user's own space in the room that its people share, a matrix; alone both are the same. */
+  get seat() {
+    const place = this.info.room?.place ?? this.here?.people.room?.place;
+    return place ? fromPose(place) : IDENTITY;
+  }
+
   /** The joints of all heads [x, y, z] in a room, in the user's space: {own, others}. */
   get heads() {
     const here = this.here?.choice.here && this.here.people.size > 0;
@@ -195,22 +201,26 @@ export class Stage {
    */
   #shows(views, room, bare) {
     const eyes = views.flatMap(({ transform, projection, viewport }) => [...transform, ...projection, ...Object.values(viewport)]);
-    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, bare, ...eyes];
+    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, bare, ...this.seat, ...eyes];
     const same = wanted.length === this.#painted.length && wanted.every((value, i) => value === this.#painted[i]);
     this.#painted = wanted;
     return same;
   }
 
-  /** Return the light in the avatar's own space: of its place, or `around`; null: the server's. */
-  #falling(where, around = lightOf(this.settings.get('place'))) {
+  /** Return the light in the avatar's own space: `around`, or that of the place; null: the server's. */
+  #falling(where, around) {
+    if (around === undefined) {
+      const falls = lightOf(this.settings.get('place'));
+      around = falls && turned(falls, invert(this.seat));
+    }
     if (!around || !this.settings.get('light')) return null;
     return where.glass ? around : turned(around, invert(where.shown)); // a mirror's user stands in the room itself
   }
 
-  /** Return the shadows of all people on the floor. */
+  /** Return the shadows of all people on the floor of the room. */
   #shadows(here, where, { pose, tracking }, now) {
     if (this.settings.get('place') === 'plain') return [];
-    const shown = where.glass ? IDENTITY : where.shown; // a mirror shows the floor under its user
+    const shown = where.glass ? this.seat : multiply(this.seat, where.shown); // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
     const { box, feet, room } = this.painter.hasPair ? this.#shown : {};
     if (room) return fromPlaces(standing(room), shown);

@@ -59,6 +59,7 @@ export class Immersive {
   #asked = 0; // ms, when a sample was sent last
   #stepped = 0; // ms
   #where = null;
+  #company = false; // whether the view was placed with others in the room
   #again = false; // place the view anew
   #restand = false; // and the user
   #pressed = false;
@@ -176,7 +177,8 @@ export class Immersive {
       viewport: session.renderState.baseLayer.getViewport(view),
     }));
     const head = viewer.transform.matrix;
-    if (!this.#where || this.#again) this.#placeView(head);
+    const company = this.#tools.others().length > 0;
+    if (!this.#where || this.#again || company !== this.#company) this.#placeView(head, company);
     const tracked = sampleOf(frame, this.#space, viewer);
     const lower = drivenBodyOf(frame, this.#space);
     if (lower) tracked.body = lower;
@@ -198,9 +200,10 @@ export class Immersive {
     this.#stage.frame(views, where, this.#drive(sample, now), { framebuffer, alpha, transparent, room, around, labels, deep, now });
   }
 
-  #placeView(head) {
+  #placeView(head, company) {
     this.#again = false;
-    this.#where = placing(this.#settings.get('view'), head, this.#tools.radius());
+    this.#company = company;
+    this.#where = placing(this.#settings.get('view'), head, this.#tools.radius(), company);
     this.#stage.clear();
   }
 

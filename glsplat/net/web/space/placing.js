@@ -25,10 +25,11 @@ export function heading(head) {
 
 /**
  * A view for a user whose head is at `head` (room from head): what stays where it is until the view is chosen again.
- * With others on a circle of `radius` metres, which the user faces from the origin, all that is in sight is shown, and
- * the mirror is `hung` to the user's left, where nobody stands behind it.
+ * In a room, whose circle of `radius` metres the user faces from the origin, all that is in sight is shown; once there
+ * is `company`, the mirror is `hung` to the user's left, where nobody stands behind it.
  */
-export function placing(view, head, radius = 0) {
+export function placing(view, head, radius = 0, company = false) {
+  if (radius && !company && view === 'mirror') return { ...placing(view, head), whole: true };
   if (radius) {
     const around = { ...placing('own', head), whole: true };
     return view === 'mirror' ? { ...around, hung: { ...mirrorAt([radius + ASIDE, 0, 0], [-1, 0, 0]), whole: true } } : around;
