@@ -53,8 +53,8 @@ class RoomMember(Protocol):
     """A client's person in a room. May be used by several threads."""
 
     @property
-    def resume(self) -> str:
-        """The token with which the person comes back on another connection."""
+    def own_fields(self) -> dict[str, Any]:
+        """The fields of the ``room`` in a reply that concern the client alone."""
 
     def meeting(self, request: Request) -> Request:
         """Return the request with the faces of the others, for the solver."""
@@ -184,7 +184,7 @@ class Drawn:
         if request.options.alpha == "straight":
             info["alpha"] = "straight"
         if client.member is not None and self.job.room is not None:
-            info["room"] = self.job.room.fields() | {"resume": client.member.resume}
+            info["room"] = self.job.room.fields() | client.member.own_fields
         return info
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.net.codec.body import placement_of
 from glsplat.skinning.pose import Pose
 
 
@@ -40,7 +39,7 @@ class RoomView:
     from_room: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))  # [4, 4] viewer's own space from room
 
     def fields(self) -> dict[str, Any]:
-        """Return ``room`` of a reply: the viewer's place, the people, their positions, and the request of each pose."""
+        """Return ``room`` of a reply: the people, their positions, and the request of each pose."""
         people = [
             {"name": one.name, "avatar": one.avatar, "you": one.key == self.viewer, "at": self._at(one)}
             | {"frame_id": one.frame_id, "ahead": one.ahead, "opacity": round(one.opacity, 3)}
@@ -48,9 +47,7 @@ class RoomView:
             | {"label": driven_by([one.name], one.notice)}
             for one in self.people
         ]
-        translation, rotation, _ = placement_of(np.linalg.inv(self.from_room))
-        place = [round(float(v), 6) for v in (*translation, *rotation)]
-        return {"name": self.room, "tick": self.tick, "place": place, "people": people}
+        return {"name": self.room, "tick": self.tick, "people": people}
 
     def words(self, label: bool) -> str:
         """Return the text for the picture: the notices of all people in it and, with ``label``, who drives them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from glsplat.camera import Camera
 from glsplat.errors import PoseError
@@ -26,9 +27,9 @@ class Member:
     rest: Pose
 
     @property
-    def resume(self) -> str:
-        """Token that brings the person back on another connection."""
-        return self.person.resume
+    def own_fields(self) -> dict[str, Any]:
+        """``place`` and ``resume`` of the ``room`` in a reply."""
+        return self.person.own_fields
 
     def solved(self, request: Request, solved: Solved, at: float) -> None:
         """Record the solution of tracking that arrived at ``at`` seconds. Raises PoseError if it cannot be drawn."""

@@ -70,6 +70,12 @@ class Person:
         self.from_room: NDArray[np.float64] = np.asarray(np.linalg.inv(seat), np.float64)  # user from room [4, 4]
 
     @property
+    def own_fields(self) -> dict[str, Any]:
+        """``place`` and ``resume`` of the ``room`` in a reply to this person."""
+        translation, rotation, _ = placement_of(self.seat)
+        return {"place": [round(v, 6) for v in (*translation, *rotation)], "resume": self.resume}
+
+    @property
     def newest(self) -> PoseSample | None:
         """The last sample."""
         return self._samples[-1] if self._samples else None
@@ -192,11 +198,10 @@ def people_fields(
     room: str, viewer: Person, people: Sequence[Person], digests: Mapping[str, bytes | None]
 ) -> dict[str, Any]:
     """Return ``room`` of a reply in poses: people with hashes of their avatar files, the viewer's seat and token."""
-    translation, rotation, _ = placement_of(viewer.seat)
     fields = [
         {"key": one.key, "name": one.name, "avatar": one.avatar, "you": one is viewer}
         | {"label": driven_by([one.name], one.notice)}
         | {"sha256": None if (digest := digests[one.avatar]) is None else digest.hex()}
         for one in people
     ]
-    return {"name": room, "place": [*translation, *rotation], "people": fields, "resume": viewer.resume}
+    return {"name": room, "people": fields} | viewer.own_fields
