@@ -22,13 +22,12 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     quiet = Quiet(**result["quiet"])
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    rest = f"{result['frames_left_out']} in section 2, {result['growth']['frames']} in 5"
-    width = f"{result['frames']} frames a setting ({rest})"
+    frames = f"{result['frames']} frames a setting ({result['frames_left_out']} in section 2)"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
-        f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
+        f"{frames}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
         f"Quiet: {quiet.words}" + ("" if quiet.ok else f"; above {MAX_SHARE:.0%}: compare CPU times only"),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
@@ -43,7 +42,6 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
     parts += _latency(result["latency"])
-    parts += _growth(result["growth"], pictures)
     parts += _advice(result["scenes"], result["driver"])
     return document("glsplat report", "".join(parts))
 
@@ -71,7 +69,7 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
 
 def _advice(scenes: Sequence[Mapping[str, Any]], driver: str) -> list[str]:
     out = [
-        f"<h2>6. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
+        f"<h2>5. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
     ]
     out.append(f"LPIPS up to {VISIBLE_LPIPS:g}, or without its weights PSNR from {VISIBLE_PSNR:g} dB.</p>")
     for scene in scenes:
@@ -159,54 +157,6 @@ def _latency(result: Mapping[str, Any]) -> list[str]:
         "<ul>",
         *(f"<li>{escaped(line)}</li>" for line in shown),
         "</ul>",
-    ]
-
-
-def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
-    rows, lines = [], []
-    for axis in ("splats", "pixels", "views"):
-        for row in growth[axis]:
-            what = [axis, row["splats"], f"{row['views']} x {row['size']}x{row['size']}"]
-            if "left_out" in row:
-                rows.append([*what, f"left out: {row['left_out']}", "", "", "", ""])
-                continue
-            process = row["process_bytes"]
-            grown = process / 1e6 if process is not None else "not measured"
-            rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["ms"]["cpu"], row["gpu_bytes"] / 1e6, grown])
-    fits = growth["fits"]
-    stages = {f"{stage}, ns a splat": line for stage, line in fits["stages_ns_a_splat"].items()}
-    named = {
-        "whole frame, ns a splat": (fits["ns_a_splat"], "ms"),
-        **{name: (line, "ms") for name, line in stages.items()},
-        "whole frame, ns a pixel": (fits["ns_a_pixel"], "ms"),
-        "whole frame, ms a view": (fits["ms_a_view"], "ms"),
-        "buffers and textures, bytes a splat": (fits["gpu_bytes_a_splat"], "bytes"),
-        "buffers and textures, bytes a pixel": (fits["gpu_bytes_a_pixel"], "bytes"),
-        "process, bytes a splat": (fits["process_bytes_a_splat"], "bytes"),
-    }
-    for name, (line, unit) in named.items():
-        if line:
-            constant = f"{number_of(line['constant'])} {unit}"
-            lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
-    return [
-        "<h2>5. Growth</h2>",
-        f"<p>{escaped(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
-        "relative error through the medians; the last column says how far the worst point lies off.</p>",
-        image_of(pictures, "growth.png"),
-        table_of(["slope", "value", "constant", "worst point"], lines),
-        table_of(
-            [
-                "along",
-                "splats",
-                "views",
-                "ms, median",
-                "ms, p95",
-                "ms of CPU",
-                "buffers and textures (MB)",
-                "process grew by (MB)",
-            ],
-            rows,
-        ),
     ]
 
 

@@ -19,8 +19,6 @@ from apps.report import command as report
 from apps.report import latency as report_latency
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate import subjects as report_subjects
-from glsplat.extras.evaluate.sections import growth as report_growth
-from glsplat.extras.evaluate.sections.growth import Grid
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out
 from glsplat.extras.evaluate.stability import frame as report_stability
 from glsplat.extras.evaluate.stability.extremes import all_cases
@@ -109,14 +107,12 @@ def test_pictures_that_differ_are_not_called_one(context: Context) -> None:
 
 
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A whole grid, the streaming of latency and pictures of the paper's sizes take longer than a test may."""
+    """The streaming of latency and pictures of the paper's sizes take longer than a test may."""
     stage = {"median": 1.0, "p95": 2.0}
     run = {"size": [32, 32], "pictures_a_second": 9.0, "bytes_per_frame": 2048, "dropped": 1, "sent": 10}
     streamed = {"fps": 72.0, "paper": report_latency.PAPER, "runs": [{**run, "stages": {s[0]: stage for s in STAGES}}]}
     monkeypatch.setattr(report_latency, "measure", lambda *_: streamed)
     monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
-    monkeypatch.setattr(report, "grid_of", lambda _: Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False))
-    monkeypatch.setattr(report_growth, "default_avatar", lambda: limb(200))
 
 
 @pytest.mark.check
@@ -149,14 +145,13 @@ def test_from_the_command_line(
     assert result["driver"] and result["machine"] and result["cores"] >= 1 and result["date"] >= "2026"
     assert {"glsplat", "python", "numpy", "moderngl", "matplotlib", "flip-evaluator"} <= set(result["versions"])
     assert result["latency"]["runs"]
-    assert {row["splats"] for row in result["growth"]["splats"]} == {100, 400}
     text = (out / "report.html").read_text()
     (failed,) = [row for row in result["stability"] if row["verdict"] == "failed"]
     assert failed["error"] is None and result["scenes"][0]["rows"][0]["cpu_ms"] > 0
-    assert set(result["quiet"]) == {"others", "noise"} and "6. What to use on" in text and "glsplat render" in text
+    assert set(result["quiet"]) == {"others", "noise"} and "5. What to use on" in text and "glsplat render" in text
     assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "bad &lt;b&gt;" in text
     assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
-    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 5
+    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 4
 
 
 @pytest.mark.check
