@@ -14,7 +14,6 @@ import numpy as np
 
 from glsplat.errors import GlsplatError
 from glsplat.net.client import Client
-from glsplat.net.pace.stages import median_p95
 
 from ..demo import running_server
 from ..replay.command import load_drive
@@ -96,12 +95,7 @@ def _values(result: Result, size: tuple[int, int]) -> dict[str, Any]:
         **{key: summary[key] for key in ("seconds", "sent", "shown", "dropped", "share_of_render_rate")},
         "pictures_a_second": summary["fps"],
         "bytes_per_frame": summary["bytes_per_frame"],
-        "stages": {key: _pair(result.times[key]) for key, _, _ in STAGES},
+        "stages": {key: summary["stages_ms"][key] for key, _, _ in STAGES},
         "beyond_render": summary["beyond_render_ms"],
         "age": summary["age_ms"],
     }
-
-
-def _pair(values: list[float]) -> dict[str, float]:
-    median, p95 = median_p95(values)
-    return {"median": round(median, 3), "p95": round(p95, 3)}
