@@ -12,7 +12,7 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.config import RenderConfig, with_fields
+from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
@@ -184,37 +184,6 @@ class Bench:
         for renderer in (pair, single, staged):
             renderer.release()
         return row
-
-    def influences(self, avatar: Avatar, motion: Motion, pixels: tuple[int, int]) -> list[dict[str, Any]]:
-        """The skin stage by joints a splat, interleaved, and the pose upload it needs."""
-        counts = [k for k in (1, 2, 4, 8) if k <= avatar.skin.influences]
-        renderers = {
-            k: Probe(
-                avatar,
-                size=pixels,
-                views=2,
-                context=self._context,
-                timed=True,
-                config=with_fields(self._config, influences=k),
-            )
-            for k in counts
-        }
-        samples: dict[int, list[tuple[float, float]]] = {k: [] for k in counts}
-        for i in range(self._frames + WARM_UP):
-            for k, renderer in renderers.items():
-                renderer.render(self.eyes(avatar, pixels, i), motion.at(i / 30))
-                if i >= WARM_UP:
-                    samples[k].append((renderer.timings["skin"], renderer.timings["pose"]))
-        for renderer in renderers.values():
-            renderer.release()
-        return [
-            {
-                "influences": k,
-                "skin_ms": asdict(Series.of([skin for skin, _ in samples[k]])),
-                "pose_and_upload_ms": asdict(Series.of([pose for _, pose in samples[k]])),
-            }
-            for k in counts
-        ]
 
     def _unmoved(self, renderer: Renderer, eyes: Sequence[Camera], pose: Pose | None) -> float:
         """Two single renders of an unmoved scene: each eye is drawn twice and its second time counts."""
