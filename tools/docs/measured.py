@@ -32,6 +32,7 @@ from glsplat.io.provenance import machine
 from tests.conftest import SHARED_DATA
 from tools.docs import precision
 from tools.docs.approximations import ABOUT, others_plot
+from tools.net import ladder_table
 from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -216,24 +217,18 @@ def links() -> Iterator[Table]:
 
 
 def ladder() -> Iterator[Table]:
-    """What size, quality and chroma cost in bits and in sight."""
+    """What size and quality cost in bits and in sight."""
     files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
     about = (
         "The left eye of `glsplat replay` at 1024^2, the embedded people, and an avatar of 39,998\n"
         "splats of another person (files named by GLSPLAT_MEASURED_AVATARS). JPEG as the server makes it, decoded,\n"
         "enlarged to full size; LPIPS (AlexNet) and PSNR in the avatar's box against the uncompressed picture of full\n"
-        "size. Shown are those on the front: no other setting of 4:2:0 has fewer bytes in the box and less LPIPS.\n"
+        "size. Shown are those on the front of 4:2:0: none else has fewer bytes in the box and less LPIPS.\n"
         "glsplat/net/pace/ladder.py is drawn from it."
     )
-    yield "moments", about, _front(script("tools.net.ladder_table", *files))
+    yield "moments", about, ladder_table.table(files, ladder_table.DEVELOPED)
     note = "The same for moments of other motions, which the ladder was not drawn from."
-    yield "set-aside", note, _front(script("tools.net.ladder_table", "--set-aside", *files))
-
-
-def _front(text: str) -> str:
-    """The rows on the front of a table of ladder_table."""
-    head, line, *rows = _markdown(text).splitlines()
-    return "\n".join([head, line, *(row for row in rows if row.endswith("yes |"))])
+    yield "set-aside", note, ladder_table.table(files, ladder_table.SET_ASIDE)
 
 
 def _markdown(text: str) -> str:
