@@ -23,7 +23,7 @@ from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged
 
 from ..progress import Progress
-from ..report import latency
+from ..replay import latency
 
 _FRAMES = 30, 4  # measured; in a quick run
 

@@ -1,4 +1,4 @@
-"""``glsplat report``: error against run time, what is left out, stability in hard cases, latency."""
+"""``glsplat report``: error against run time, what is left out, stability in hard cases."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ from glsplat.skinning.driven import why_not_driven
 from ..args import whole
 from ..progress import Progress
 from ..usage import make_folder
-from . import latency as report_latency
 from .html import page
 
 HELP = (
@@ -101,7 +100,7 @@ def measured(context: Context, subjects: list[Subject], frames: int, quick: bool
     still = replace(main, cameras=())
     fewer = max(3, frames // 4) if quick else max(3, frames // 2)
     seconds: dict[str, float] = {}
-    with Progress(len(subjects) + 3) as bar:
+    with Progress(len(subjects) + 2) as bar:
 
         @contextmanager
         def section(name: str, text: str = "") -> Iterator[None]:
@@ -120,8 +119,6 @@ def measured(context: Context, subjects: list[Subject], frames: int, quick: bool
         with section("left out"):
             rows = left_out(context, replace(still, moving=False), features_of(main.scene, context), fewer)
             unmoved_row = unmoved(context, still, fewer)
-        with section("latency"):
-            latency = report_latency.measure(quick)
     facts = machine()
     facts["versions"] |= {name: version(name) for name in ("matplotlib", "flip-evaluator", "simplejpeg")}
     return {
@@ -137,7 +134,6 @@ def measured(context: Context, subjects: list[Subject], frames: int, quick: bool
         "left_out_splats": len(splats_of(main.scene)),
         "unmoved": unmoved_row,
         "stability": stability,
-        "latency": latency,
         "quiet": asdict(watch.read(max(scene["quiet"]["noise"] for scene in scenes))),
     }
 

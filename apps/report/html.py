@@ -9,7 +9,6 @@ from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, advic
 from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 
 from ..page import document, escaped, image_of, number_of, table_of
-from . import latency as report_latency
 
 _DENSE = (
     "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
@@ -41,7 +40,6 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         parts += _scene(scene, pictures)
     parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
-    parts += _latency(result["latency"])
     parts += _advice(result["scenes"], result["driver"])
     return document("glsplat report", "".join(parts))
 
@@ -69,7 +67,7 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
 
 def _advice(scenes: Sequence[Mapping[str, Any]], driver: str) -> list[str]:
     out = [
-        f"<h2>5. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
+        f"<h2>4. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
     ]
     out.append(f"LPIPS up to {VISIBLE_LPIPS:g}, or without its weights PSNR from {VISIBLE_PSNR:g} dB.</p>")
     for scene in scenes:
@@ -140,24 +138,6 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
     return ["<h2>3. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
-
-
-def _latency(result: Mapping[str, Any]) -> list[str]:
-    head, *rows = report_latency.rows(dict(result))
-    shown = [
-        f"2 x {run['size'][0]}x{run['size'][1]}: {run['pictures_a_second']:.1f} pictures a second, "
-        f"{run['bytes_per_frame'] / 1024:.0f} KiB each, {run['dropped']} of {run['sent']} replaced by newer requests"
-        for run in result["runs"]
-    ]
-    return [
-        "<h2>4. Latency</h2>",
-        f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
-        "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
-        table_of(head, rows),
-        "<ul>",
-        *(f"<li>{escaped(line)}</li>" for line in shown),
-        "</ul>",
-    ]
 
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..page import document, escaped, table_of
-from ..report import latency
+from ..replay import latency
 
 Rows = Sequence[Mapping[str, Any]]
 

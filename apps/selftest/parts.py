@@ -26,7 +26,7 @@ from glsplat.extras.evaluate.stability.skin import skin_cases
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context, create_context
 
-from ..report import latency
+from ..replay import latency
 
 _SILENCE_S = 400.0  # without a word from a part before it is ended
 _END_S = 10.0  # for a part to end after its last step

@@ -22,6 +22,8 @@ from textwrap import fill
 from typing import Any
 
 from apps.demo import running_server
+from apps.replay.latency import PAPER
+from apps.replay.streaming import STAGES
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.quiet import Quiet, until_quiet
 from glsplat.extras.evaluate.stability.extremes import all_cases
@@ -39,17 +41,6 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
 SIZES = (512, 768, 1024)
 LINKS = ("20,50", "40,50", "40,5")  # ms there and back, Mbit/s
-
-# paper/appendix, "Latency breakdown of the streaming pipeline", localhost, 2 x 1024^2, ms
-PAPER = {
-    "ik": ("tracking and inverse kinematics", "~1 (headset)"),
-    "communication": ("communication, both ways", "< 1"),
-    "wait": ("waiting for the renderer (newest request)", "-"),
-    "render": ("stereo rendering, both eyes", "23 - 27"),
-    "encode": ("encoding (JPEG)", "1 - 2"),
-    "decode": ("decoding", "5 - 10 (with display)"),
-    "end_to_end": ("end to end", "30 - 41"),
-}
 
 _TABLE = re.compile(r"<!-- table: (\S+) -->\n\n(.*?)\n\n<!-- end -->", re.S)
 _COPY = re.compile(r"(<!-- measured: (\S+)/(\S+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
@@ -167,13 +158,13 @@ def stream() -> Iterator[Table]:
     yield "summary", "`glsplat demo`: pictures shown a second, and the median age of the one on show.", "\n".join(rows)
     ours = [lean[f"{side}x{side}"]["stages_ms"] for side in (512, 1024)]
     rows = ["| stage | paper | glsplat, 2 x 512^2 | p95 | glsplat, 2 x 1024^2 | p95 |", "|---|--:|--:|--:|--:|--:|"]
-    for key, (name, paper) in PAPER.items():
+    for key, name, _ in STAGES:
         cells = [f"{run[key][part]:.1f}" for run in ours for part in ("median", "p95")]
-        rows.append(f"| {name} | {paper} | " + " | ".join(cells) + " |")
+        rows.append(f"| {name} | {PAPER[key]} | " + " | ".join(cells) + " |")
     yield (
         "paper",
         "Medians in ms beside the paper's appendix (localhost, 2 x 1024^2, a CUDA rasterizer on a desktop GPU).\n"
-        "Both columns of glsplat are drawn by a CPU.",
+        "Its decoding includes the display. Both columns of glsplat are drawn by a CPU.",
         "\n".join(rows),
     )
     with running_server(None) as url:
