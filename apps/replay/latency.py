@@ -10,14 +10,9 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from glsplat.errors import GlsplatError
-from glsplat.net.client import Client
-
-from ..demo import running_server
-from .command import load_drive
-from .streaming import STAGES, Drive, Result, observer, stream
+from ..demo import running_server, streamed
+from .command import check_shown, load_drive
+from .streaming import STAGES
 
 PAPER = {
     "ik": "~1",
@@ -36,7 +31,6 @@ Its tracking stage runs on the headset, its communication is one row, and its de
 _FPS = 72.0  # requests a second, as a headset's display
 _SIZES = ((512, 512), (1024, 1024))
 _SECONDS = (3.0, 8.0)  # of streaming at each size: quick, else
-_WARM = 3  # pictures before: targets of the size, caches
 
 
 def measure(quick: bool = False, avatar: Path | None = None) -> dict[str, Any]:
@@ -48,7 +42,8 @@ def measure(quick: bool = False, avatar: Path | None = None) -> dict[str, Any]:
     drive, _ = load_drive(None)
     count = round(_SECONDS[not quick] * _FPS)
     with running_server(None if avatar is None else str(avatar)) as url:
-        results = [asyncio.run(_run(url, drive, size, count)) for size in _SIZES[: 1 if quick else None]]
+        results = asyncio.run(streamed(url, drive, _SIZES[: 1 if quick else None], count, _FPS))
+    check_shown(results)
     runs = []
     for result, size in zip(results, _SIZES, strict=False):
         summary = result.summary()
@@ -70,13 +65,3 @@ def rows(result: dict[str, Any]) -> list[list[str]]:
             cells += [f"{run['stages'][key][number]:.1f}" for number in ("median", "p95")]
         table.append(cells)
     return table
-
-
-async def _run(url: str, drive: Drive, size: tuple[int, int], count: int) -> Result:
-    async with Client(url, timeout=30.0) as client:
-        for _ in range(_WARM):
-            await client.render(observer(0.0, np.zeros(3), size), tracking=drive.at(0.0).tracking)
-        result = await stream(client, drive, frames=count, fps=_FPS, size=size)
-    if not result.shown:
-        raise GlsplatError(f"no picture came from the server{f': {result.last_error}' if result.last_error else ''}")
-    return result
