@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -63,36 +62,6 @@ def triangles_of(scene: SceneLike) -> int:
     """Triangles of the visible meshes."""
     items = (item for item in Scene.of(scene) if item.visible)
     return sum(len(item.content.faces) for item in items if isinstance(item.content, RiggedMesh))
-
-
-class Binocular:
-    """One thing drawn as a pair in one call, by two renderers that share nothing, and eye by eye by one renderer.
-
-    ``make`` makes a renderer for so many views; release it on the thread that made it.
-    """
-
-    def __init__(self, make: Callable[[int], Renderer]) -> None:
-        with ExitStack() as stack:
-            self.pair, self._shared, self._left, self._right = (
-                stack.enter_context(make(views)) for views in (2, 1, 1, 1)
-            )
-            self._renderers = stack.pop_all()
-
-    def frame(self, eyes: Sequence[Camera], pose: Pose | None) -> tuple[float, float, float]:
-        """Milliseconds of one frame in those three ways, one after the other."""
-        self.pair.render(eyes, pose)
-        alone = in_turn = 0.0
-        for renderer, eye in zip((self._left, self._right), eyes, strict=True):
-            renderer.render([eye], pose)
-            alone += renderer.timings["total"]
-        for eye in eyes:
-            self._shared.render([eye], pose)
-            in_turn += self._shared.timings["total"]
-        return self.pair.timings["total"], alone, in_turn
-
-    def release(self) -> None:
-        """Delete the renderers."""
-        self._renderers.close()
 
 
 class Bench:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.extras.evaluate.frames import WARM_UP, Binocular, triangles_of
+from glsplat.camera import Camera
+from glsplat.extras.evaluate.frames import WARM_UP, triangles_of
 from glsplat.extras.evaluate.subjects import orbit, pose_of_frame
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
 from glsplat.scene import Rigged
+from glsplat.skinning.pose import Pose
 
 PAPER = {512: (21.78, 37.47), 768: (23.19, 38.33), 1024: (25.45, 38.80)}
 """Pixels a side -> (with, without) Binocular Batching, ms a frame: the paper's table of rendering performance.
@@ -43,15 +44,17 @@ def costs(
     for size in sizes if figures else ():
         samples: dict[str, list[tuple[float, float, float]]] = {name: [] for name in figures}
         with ExitStack() as stack:
-            drawn = {}
-            for name, figure in figures.items():
-                make = partial(_renderer, context, figure, size)
-                drawn[name] = Binocular(make)
-                stack.callback(drawn[name].release)
+            drawn = {
+                name: [
+                    stack.enter_context(Renderer(figure, size=(size, size), views=views, context=context))
+                    for views in (2, 1, 1, 1)
+                ]
+                for name, figure in figures.items()
+            }
             for frame in range(WARM_UP + frames):
                 eyes = orbit(next(iter(figures.values())), frame, size)
                 for name, figure in figures.items():
-                    taken = drawn[name].frame(eyes, pose_of_frame(figure.skeleton, frame))
+                    taken = _milliseconds(drawn[name], eyes, pose_of_frame(figure.skeleton, frame))
                     if frame >= WARM_UP:
                         samples[name].append(taken)
                     tick()
@@ -62,7 +65,7 @@ def costs(
                     row |= {"kind": "splats", "count": len(figure.splats)}
                 else:
                     row |= {"kind": "triangles", "count": triangles_of(figure)}
-                row |= {"bytes": sum(drawn[name].pair.nbytes().values()), "pair_ms": pair, "two_ms": two}
+                row |= {"bytes": sum(drawn[name][0].nbytes().values()), "pair_ms": pair, "two_ms": two}
                 row |= {"in_turn_ms": in_turn, "gain": round(two / pair, 3)}
                 if size in PAPER:
                     batched, single = PAPER[size]
@@ -71,5 +74,15 @@ def costs(
     return rows
 
 
-def _renderer(context: Context, figure: Rigged, size: int, views: int) -> Renderer:
-    return Renderer(figure, size=(size, size), views=views, context=context)
+def _milliseconds(renderers: Sequence[Renderer], eyes: Sequence[Camera], pose: Pose) -> tuple[float, float, float]:
+    """Return the times of one frame as a pair, by two renderers that share nothing, and eye by eye by one renderer."""
+    pair, shared, *own = renderers
+    pair.render(eyes, pose)
+    two = in_turn = 0.0
+    for renderer, eye in zip(own, eyes, strict=True):
+        renderer.render([eye], pose)
+        two += renderer.timings["total"]
+    for eye in eyes:
+        shared.render([eye], pose)
+        in_turn += shared.timings["total"]
+    return pair.timings["total"], two, in_turn
