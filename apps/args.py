@@ -21,7 +21,7 @@ from glsplat.formats.motion_files import KINDS, split_choice
 from glsplat.formats.registry import load
 from glsplat.formats.scene_file import UPS, SceneFile, load_scene, upright
 from glsplat.formats.transform import transformed
-from glsplat.io.files import naming, open_regular
+from glsplat.io.files import naming, read_json
 from glsplat.light.light import PRESETS, Light
 from glsplat.meshes import RiggedMesh
 from glsplat.optional import plugin
@@ -82,14 +82,8 @@ def light_of(text: str) -> Light:
     """Return a light of a preset's name, or of a JSON file (as "light" of a scene file). Raises FormatError."""
     if text in PRESETS or not Path(text).exists():
         return Light.preset(text)
-    with naming(text), open_regular(text) as (file, size):
-        if size > _MAX_LIGHT_BYTES:
-            raise FormatError(f"a light has at most {_MAX_LIGHT_BYTES} bytes, this one {size}")
-        try:
-            data = json.loads(file.read())
-        except (ValueError, RecursionError) as error:
-            raise FormatError(f"a light is JSON, but {error}") from None
-        return Light.from_json(data)
+    with naming(text):
+        return Light.from_json(read_json(text, "a light", _MAX_LIGHT_BYTES))
 
 
 def light_name(text: str) -> str:

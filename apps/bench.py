@@ -8,7 +8,6 @@ import sys
 from dataclasses import asdict
 from typing import Any
 
-from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.extras.evaluate.frames import WARM_UP, Bench
 from glsplat.extras.evaluate.quiet import Quiet, until_quiet
@@ -60,15 +59,12 @@ def run(args: argparse.Namespace) -> int:
             bench = Bench(context, frames, config)
             kinds = kinds_of(bench, scene, motion, file, frames + WARM_UP)
             settings = [(kind, pixels, views) for kind in kinds for pixels in args.sizes for views in args.views]
-            with Progress(len(settings) + 1, quiet=args.json) as progress:
+            with Progress(len(settings), quiet=args.json) as progress:
                 for (kind, model, poses), pixels, views in settings:
                     progress.show(len(rows), f"{kind} {views} x {pixels[0]}x{pixels[1]}")
                     pose_at = file.pose_at if model is file.scene else None
                     rows.append(bench.setting(kind, model, poses, pixels, views, pose_at))
-                progress.show(len(rows), "influences")
-                skins = bench.influences(scene, motion, args.sizes[0]) if isinstance(scene, Avatar) and motion else []
-            found = {"frames": frames, "settings": rows, "influences": skins}
-            return found, max(row["noise"] for row in rows)
+            return {"frames": frames, "settings": rows}, max(row["noise"] for row in rows)
 
         found, quiet = until_quiet(measured, args.frames, lambda text: print(f"glsplat bench: {text}", file=sys.stderr))
         result = {**machine(), "driver": context.driver, "backend": context.backend, "quiet": asdict(quiet), **found}
@@ -141,10 +137,4 @@ def table(result: dict[str, Any]) -> str:
             )
         for stage, values in row["stages_ms"].items():
             lines.append(f"    {stage:20}{values['median']:9.2f} ms   p95 {values['p95']:9.2f}")
-    for row in result["influences"]:
-        lines += [] if row is not result["influences"][0] else ["", "skinning by joints a splat:"]
-        lines.append(
-            f"    {row['influences']:<20}{row['skin_ms']['median']:9.2f} ms   p95 {row['skin_ms']['p95']:9.2f}"
-            f"   pose and upload {row['pose_and_upload_ms']['median']:.2f} ms"
-        )
     return "\n".join(lines)

@@ -7,12 +7,10 @@ import asyncio
 import json
 import multiprocessing
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
-
-import numpy as np
 
 from glsplat.config import LEAN, RenderConfig
 from glsplat.data import default_avatar
@@ -37,6 +35,7 @@ EXAMPLE = "glsplat demo -o out/demo"
 
 _START_TIMEOUT_S = 60.0  # for slow machines
 _STOP_TIMEOUT_S = 10.0
+_WARM_UP = 3  # pictures before those that count: targets of the size, caches
 _CLIP_WIDTH_PX = 1024  # encoding twice that as VP9 would take longer than streaming
 
 
@@ -62,7 +61,9 @@ def run(args: argparse.Namespace) -> int:
     drive, _ = load_drive(args.motion, args.avatar, args.tracking)
     make_folder(args.output)
     with running_server(args.avatar, RenderConfig(**detail_of(args))) as url:
-        results = asyncio.run(_measure(args, url, drive))
+        frames, quiet = max(1, round(args.seconds * args.fps)), args.json or not sys.stderr.isatty()
+        runs = asyncio.run(streamed(url, drive, args.sizes, frames, args.fps, quiet=quiet))
+        results = [(f"{width}x{height}", run) for (width, height), run in zip(args.sizes, runs, strict=True)]
         sheet = asyncio.run(_portraits(url, drive))
     kept = results[-1][1].kept
     if not kept:
@@ -91,27 +92,19 @@ async def _portraits(url: str, drive: Drive) -> Image:
         return await portrait_sheet(client, drive)
 
 
-async def _measure(args: argparse.Namespace, url: str, drive: Drive) -> list[tuple[str, Result]]:
-    results = []
-    frames = max(1, round(args.seconds * args.fps))
-    bars = not args.json and sys.stderr.isatty()
-    for pixels in args.sizes:
-        name = f"{pixels[0]}x{pixels[1]}"
+async def streamed(
+    url: str, drive: Drive, sizes: Sequence[tuple[int, int]], frames: int, fps: float, *, quiet: bool = True
+) -> list[Result]:
+    """Return a run at each of the sizes; the last keeps its pictures."""
+    start, results = drive.at(0.0), []
+    for pixels in sizes:
         async with Client(url, timeout=30.0) as client:
-            await client.render(
-                observer(0.0, np.zeros(3), pixels)
-            )  # allocates the targets of a new size, outside the measurement
-            with Progress(frames, name, quiet=not bars) as bar:
-                result = await stream(
-                    client,
-                    drive,
-                    frames=frames,
-                    fps=args.fps,
-                    size=pixels,
-                    keep=pixels == args.sizes[-1],
-                    progress=bar.update,
-                )
-        results.append((name, result))
+            for _ in range(_WARM_UP):
+                await client.render(observer(0.0, start.root, pixels), pose=start.pose, tracking=start.tracking)
+            with Progress(frames, f"{pixels[0]}x{pixels[1]}", quiet=quiet) as bar:
+                last = pixels == sizes[-1]
+                run = stream(client, drive, frames=frames, fps=fps, size=pixels, keep=last, progress=bar.update)
+                results.append(await run)
     return results
 
 

@@ -35,7 +35,7 @@ _ACTIONS = {
     "video": _Action("a video of a person who turns, or pictures from around, to a mesh", "video"),
     "export": _Action("the avatar in one pose as a static splat file", "making", "add_export", "export"),
     "score": _Action("compare an avatar with the textured mesh it was made from", "score"),
-    "guide": _Action("draw how to take the photograph that an avatar is made from", "guide"),
+    "guide": _Action("a picture of how to take the photograph that an avatar is made from", "guide"),
     "consent": _Action("sign who is shown, who agreed, until when and who may drive", "consent"),
     "motions": _Action("write the motions that come with glsplat (JSON)", "making", "add_motions", "motions"),
 }

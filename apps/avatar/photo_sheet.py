@@ -27,11 +27,19 @@ from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
 
 from ..output import label, stack
-from .guide import A_POSE, FOV_DEG
 
 Image = NDArray[np.uint8]
 
 _CELL_PX = 480, 720  # width and height
+_FOV_DEG = 32.0  # vertical field of view of a phone
+_A_POSE = {
+    "left_shoulder": (0, 0, -0.7),
+    "right_shoulder": (0, 0, 0.7),
+    "left_elbow": (0, -0.12, 0),
+    "right_elbow": (0, 0.12, 0),
+    "left_hip": (0, 0, 0.09),
+    "right_hip": (0, 0, -0.09),
+}  # axis-angle in radians: arms about 40 degrees below the horizontal, feet a little apart
 _OUTLINE, _WRONG = (0, 255, 120), (255, 70, 70)  # RGB
 _LEFT, _RIGHT, _FACE, _TRUNK = (255, 170, 0), (0, 190, 255), (255, 255, 0), (255, 255, 255)
 _GUESSED = (235, 120, 60)
@@ -258,19 +266,19 @@ def _visible(view: FittedView, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 def _four_sides(avatar: Avatar | RiggedMesh, words: str) -> list[Image]:
     rotations = np.zeros((len(avatar.skeleton), 3))
-    for joint, bend in A_POSE.items():
+    for joint, bend in _A_POSE.items():
         rotations[avatar.skeleton.names.index(joint)] = bend
     means = avatar.vertices if isinstance(avatar, RiggedMesh) else avatar.splats.means
     low, high = np.percentile(means, (0.1, 99.9), axis=0)
     middle, tall = (low[1] + high[1]) / 2, max(float(high[1] - low[1]), 0.1)
-    distance = 1.35 * tall / 2 / np.tan(np.radians(FOV_DEG) / 2)
+    distance = 1.35 * tall / 2 / np.tan(np.radians(_FOV_DEG) / 2)
     cells = []
     drawn = MeshTruth(avatar, size=_CELL_PX) if isinstance(avatar, RiggedMesh) else Renderer(avatar, size=_CELL_PX)
     with drawn as renderer:
         for name, turn in (("front", 0.0), ("left", 90.0), ("back", 180.0), ("right", -90.0)):
             angle = np.radians(turn)
             eye = (distance * np.sin(angle), middle, distance * np.cos(angle))
-            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL_PX, fov=FOV_DEG), *_CELL_PX)
+            camera = Camera(look_at(eye=eye, target=(0, middle, 0)), pinhole(*_CELL_PX, fov=_FOV_DEG), *_CELL_PX)
             image = renderer.render([camera], Pose(rotations))[0].astype(np.float32)
             shown = image[..., :3] + 96 * (1 - image[..., 3:] / 255)
             cells.append(_titled(np.clip(shown + 0.5, 0, 255).astype(np.uint8), f"{name}: {words}"))

@@ -23,7 +23,7 @@ from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged
 
 from ..progress import Progress
-from ..report import latency
+from ..replay import latency
 
 _FRAMES = 30, 4  # measured; in a quick run
 
@@ -46,7 +46,7 @@ def timed(
     with Progress(len(figures) * len(sizes) * (WARM_UP + frames), "timing") as bar:
         context = create_context()
         try:
-            rows = [cost.row() for cost in costs(context, figures, sizes, frames, tick=bar.update)]
+            rows = costs(context, figures, sizes, frames, tick=bar.update)
         finally:
             context.release()
     for size in sizes:

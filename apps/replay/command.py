@@ -10,7 +10,6 @@ import sys
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.formats.motion_files import KINDS, embedded_motions
+from glsplat.formats.motion_files import KINDS
 from glsplat.motion.motion import Motion
 from glsplat.net.client import Client
 from glsplat.net.flow import POLICIES
@@ -45,7 +44,7 @@ from .streaming import Drive, Driven, Result, stream
 HELP = "Stream recorded head and hands, or a motion, through a server; report latency by stage and save pictures."
 EXAMPLE = "glsplat replay --url ws://127.0.0.1:8000/ws --save sheet.png"
 
-_PREFERRED_MOTIONS = ("wave-and-turn", "wave", "walk")
+_MOTION = "wave-and-turn"  # of an avatar without a given one
 _TRACKING_RATE_HZ = 72.0  # of a headset's samples
 _ROOT_WINDOW_S = 2.0  # over which head positions are averaged to estimate where the user stands
 _MOMENTS = 6  # pairs on a contact sheet
@@ -126,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
     if args.room is not None:
         results = asyncio.run(stream_crowd(args, token, drive, frames))
         _report_crowd(args, results)
-        _check_shown(results)
+        check_shown(results)
         return 0
     policies = POLICIES if args.compare else (args.policy,)
     runs = []
@@ -138,16 +137,16 @@ def run(args: argparse.Namespace) -> int:
         _report_several(args, runs)
     else:
         _report(args, runs[0][2])
-    _check_shown([result for _, _, result in runs])
+    check_shown([result for _, _, result in runs])
     return 0
 
 
 def _play(args: argparse.Namespace, token: str | None, drive: Drive, frames: int) -> None:
     """Stream once, without a report. Raises GlsplatError if no picture arrives."""
     if args.room is not None:
-        _check_shown(asyncio.run(stream_crowd(args, token, drive, frames)))
+        check_shown(asyncio.run(stream_crowd(args, token, drive, frames)))
     else:
-        _check_shown([asyncio.run(_stream(args, token, None, args.policy, drive, frames))])
+        check_shown([asyncio.run(_stream(args, token, None, args.policy, drive, frames))])
 
 
 def _round(args: argparse.Namespace, seconds: float, most: float | None = None) -> int:
@@ -156,7 +155,7 @@ def _round(args: argparse.Namespace, seconds: float, most: float | None = None) 
     return frames
 
 
-def _check_shown(results: Sequence[Result]) -> None:
+def check_shown(results: Sequence[Result]) -> None:
     """Raise GlsplatError if a run showed no picture."""
     failed = next((result for result in results if not result.shown), None)
     if failed is not None:
@@ -266,7 +265,7 @@ def load_drive(
     skeleton = load_avatar(avatar, "--avatar").skeleton if avatar else None
     if avatar and skeleton is not None and (tracking or name is None or name.endswith(".jsonl")):
         tracked(skeleton, avatar)
-    if name is None and avatar is None and has_recording():
+    if name is None and avatar is None:
         recording = _recording(embedded_recording(), "the embedded recording")
         return recording, recording.seconds
     if name is not None and name.endswith(".jsonl"):
@@ -274,7 +273,7 @@ def load_drive(
         return recording, recording.seconds
 
     skeleton = default_avatar().skeleton if skeleton is None else skeleton
-    motion = motion_of(name or default_motion(), skeleton, option)
+    motion = motion_of(name or _MOTION, skeleton, option)
     if tracking or name is None:
         from glsplat.extras.motions.derive import (  # here: recordings need none
             derive,
@@ -286,19 +285,6 @@ def load_drive(
         samples = with_expressions(derive(skeleton, truth), motion)
         return _recording(samples, motion.label), motion.duration
     return Played(motion), motion.duration
-
-
-def has_recording() -> bool:
-    """Return whether a recording is embedded."""
-    return resources.files("glsplat.data").joinpath("recording.jsonl").is_file()
-
-
-def default_motion() -> str:
-    """Return the name of the preferred embedded motion. Raises GlsplatError if there is none."""
-    names = embedded_motions()
-    if not names:
-        raise GlsplatError("this installation has no embedded motions; give a motion file")
-    return next((name for name in _PREFERRED_MOTIONS if name in names), names[0])
 
 
 def _recording(samples: Iterable[Sample], name: str) -> Recording:

@@ -6,7 +6,6 @@ import argparse
 import asyncio
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from glsplat.camera import Camera, head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
@@ -16,7 +15,7 @@ from glsplat.net.pace.stages import median_p95
 from ..args import whole
 from ..progress import Progress
 from ..usage import UsageError
-from .streaming import Drive, Driven, Result, stream
+from .streaming import Drive, Driven, Later, Result, stream
 
 MOST_PEOPLE = 64
 _OFFSET_S = 1.7  # of the recording between two people
@@ -48,17 +47,6 @@ def names_of(args: argparse.Namespace) -> list[str]:
     if args.people == 1:
         return [args.name or ""]
     return [f"{args.name or 'replay'} {number}" for number in range(1, args.people + 1)]
-
-
-@dataclass(frozen=True)
-class _Later:
-    """A drive that starts later."""
-
-    drive: Drive
-    seconds: float
-
-    def at(self, seconds: float) -> Driven:
-        return self.drive.at(seconds + self.seconds)
 
 
 def own_eyes(seconds: float, driven: Driven, size: tuple[int, int]) -> tuple[Camera, Camera]:
@@ -93,7 +81,7 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
             runs = [
                 stream(
                     client,
-                    _Later(drive, _OFFSET_S * number),
+                    Later(drive, _OFFSET_S * number),
                     frames=frames,
                     fps=args.fps,
                     size=args.size,

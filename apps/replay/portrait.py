@@ -15,7 +15,7 @@ from glsplat.net.reply import Reply
 from glsplat.rotations import FLIP_YZ
 
 from ..output import Image, stack
-from .streaming import Drive, Driven, observer, stream
+from .streaming import Drive, Driven, Later, observer, stream
 
 _FPS = 30.0
 _FOV_DEG = 30.0
@@ -40,17 +40,6 @@ class _Framing:
         target = np.array([root[0], (self.low + self.high) / 2 * height, root[2]])
         head = np.linalg.inv(FLIP_YZ @ look_at(target + (0.0, 0.0, distance), target))
         return stereo_cameras(head, _IPD_M, _FOV_DEG, size=self.size)
-
-
-@dataclass(frozen=True, slots=True)
-class _Later:
-    """A drive from a later time on."""
-
-    drive: Drive
-    start: float
-
-    def at(self, seconds: float) -> Driven:
-        return self.drive.at(self.start + seconds)
 
 
 # the recording begins with a person who looks ahead, then waves, then turns
@@ -83,7 +72,7 @@ async def _pictures(client: Client, drive: Drive, framing: _Framing, height: flo
 
     studio = Light.preset("studio")
     light = replace(studio, ambient=_EXPOSURE * studio.ambient, sun_colour=_EXPOSURE * studio.sun_colour)
-    later, frames = _Later(drive, framing.start), round(framing.duration * _FPS)
+    later, frames = Later(drive, framing.start), round(framing.duration * _FPS)
     run = await stream(client, later, frames=frames, fps=_FPS, keep=True, see=see, alpha="straight", light=light)
     if not run.kept:
         raise GlsplatError("no picture came; run `glsplat serve --verbose` and `glsplat replay` to see why")

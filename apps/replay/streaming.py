@@ -57,6 +57,18 @@ class Drive(Protocol):
         """Return the pose or tracking sample at a time >= 0."""
 
 
+@dataclass(frozen=True, slots=True)
+class Later:
+    """A drive from a later time on."""
+
+    drive: Drive
+    start: float  # seconds
+
+    def at(self, seconds: float) -> Driven:
+        """Return the input of the avatar ``seconds`` after the start."""
+        return self.drive.at(self.start + seconds)
+
+
 @dataclass
 class Result:
     """Statistics of the frames of one run, times in ms."""
@@ -131,7 +143,6 @@ class Result:
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers for --json."""
-        stages = {name: median_p95(values) for name, values in self.times.items()}
         return {
             "driver": self.driver,
             "fps": round(self.fps, 2),
@@ -150,7 +161,7 @@ class Result:
             "mailbox_ms": _pair(self.waits),
             "age_bound_ms": round(self.age_bound, 3),
             "render_mean_ms": round(self.render_ms, 3),
-            "stages_ms": {name: {"median": round(m, 3), "p95": round(p, 3)} for name, (m, p) in stages.items()},
+            "stages_ms": {name: _pair(values) for name, values in self.times.items()},
         }
 
 

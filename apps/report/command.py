@@ -1,4 +1,4 @@
-"""``glsplat report``: error against run time, what is left out, stability in hard cases, latency and growth."""
+"""``glsplat report``: error against run time, what is left out, stability in hard cases."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from glsplat.avatar import Avatar, splats_of
 from glsplat.extras.evaluate.difference import require_extra
 from glsplat.extras.evaluate.precision import lpips_if_there, measure
 from glsplat.extras.evaluate.quiet import Watch
-from glsplat.extras.evaluate.sections.growth import grid_of, growth
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
 from glsplat.extras.evaluate.stability.extremes import all_cases
 from glsplat.extras.evaluate.stability.frame import judge
@@ -33,7 +32,6 @@ from glsplat.skinning.driven import why_not_driven
 from ..args import whole
 from ..progress import Progress
 from ..usage import make_folder
-from . import latency as report_latency
 from .html import page
 
 HELP = (
@@ -60,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WHERE",
         help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures, fewer points of growth")
+    parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures")
     parser.add_argument("--frames", type=whole(3, 10000), help="measured frames a setting (default 24; 8 with --quick)")
     parser.add_argument(
         "--size", type=whole(16, 1024), help="pixels a side of section 1 (default 256; 128 with --quick)"
@@ -83,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     make_folder(args.output)
     context = create_context(args.device)
     try:
-        result = measured(context, subjects, frames, args.quick, args.device)
+        result = measured(context, subjects, frames, args.quick)
     finally:
         context.release()
     files = write(result, args.output)
@@ -95,20 +93,14 @@ def run(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def measured(
-    context: Context,
-    subjects: list[Subject],
-    frames: int,
-    quick: bool,
-    device: str | None,
-) -> dict[str, Any]:
+def measured(context: Context, subjects: list[Subject], frames: int, quick: bool) -> dict[str, Any]:
     """Return all sections of the report as one JSON object, without plots."""
     watch, lpips = Watch(), lpips_if_there()
     main = next((s for s in subjects if s.moving), subjects[0])
     still = replace(main, cameras=())
     fewer = max(3, frames // 4) if quick else max(3, frames // 2)
     seconds: dict[str, float] = {}
-    with Progress(len(subjects) + 4) as bar:
+    with Progress(len(subjects) + 2) as bar:
 
         @contextmanager
         def section(name: str, text: str = "") -> Iterator[None]:
@@ -127,10 +119,6 @@ def measured(
         with section("left out"):
             rows = left_out(context, replace(still, moving=False), features_of(main.scene, context), fewer)
             unmoved_row = unmoved(context, still, fewer)
-        with section("latency"):
-            latency = report_latency.measure(quick)
-        with section("growth"):
-            grown = growth(context, grid_of(quick), device)
     facts = machine()
     facts["versions"] |= {name: version(name) for name in ("matplotlib", "flip-evaluator", "simplejpeg")}
     return {
@@ -146,17 +134,15 @@ def measured(
         "left_out_splats": len(splats_of(main.scene)),
         "unmoved": unmoved_row,
         "stability": stability,
-        "latency": latency,
-        "growth": grown,
         "quiet": asdict(watch.read(max(scene["quiet"]["noise"] for scene in scenes))),
     }
 
 
 def write(result: dict[str, Any], folder: Path) -> list[Path]:
     """Write plots, report.json and report.html atomically; return their paths, the page last."""
-    from .plots import growth_plot, left_out_plot, precision_plot
+    from .plots import left_out_plot, precision_plot
 
-    pictures = {"left_out.png": left_out_plot(result["left_out"]), "growth.png": growth_plot(result["growth"])}
+    pictures = {"left_out.png": left_out_plot(result["left_out"])}
     for index, scene in enumerate(result["scenes"]):
         stem = re.sub(r"[^a-z0-9]+", "-", scene["scene"].lower()).strip("-") or "scene"
         scene["plot"] = f"{index}-{stem}.png"

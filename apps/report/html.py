@@ -9,7 +9,6 @@ from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, advic
 from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 
 from ..page import document, escaped, image_of, number_of, table_of
-from . import latency as report_latency
 
 _DENSE = (
     "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
@@ -22,13 +21,12 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     quiet = Quiet(**result["quiet"])
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    rest = f"{result['frames_left_out']} in section 2, {result['growth']['frames']} in 5"
-    width = f"{result['frames']} frames a setting ({rest})"
+    frames = f"{result['frames']} frames a setting ({result['frames_left_out']} in section 2)"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
         f"Versions: {versions}; commit {result['commit'] or 'unknown'}; {result['date']} (UTC)",
-        f"{width}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
+        f"{frames}, settings interleaved frame by frame" + ("; a quick run" if result["quick"] else ""),
         f"Quiet: {quiet.words}" + ("" if quiet.ok else f"; above {MAX_SHARE:.0%}: compare CPU times only"),
         f"Stability: {len(result['stability']) - len(failed)} of {len(result['stability'])} cases hold",
     ]
@@ -42,8 +40,6 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         parts += _scene(scene, pictures)
     parts += _left_out(result, pictures)
     parts += _stability(result["stability"])
-    parts += _latency(result["latency"])
-    parts += _growth(result["growth"], pictures)
     parts += _advice(result["scenes"], result["driver"])
     return document("glsplat report", "".join(parts))
 
@@ -71,7 +67,7 @@ def _scene(scene: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]
 
 def _advice(scenes: Sequence[Mapping[str, Any]], driver: str) -> list[str]:
     out = [
-        f"<h2>6. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
+        f"<h2>4. What to use on {escaped(driver)}</h2><p>The cheapest measured settings whose error is not visible: "
     ]
     out.append(f"LPIPS up to {VISIBLE_LPIPS:g}, or without its weights PSNR from {VISIBLE_PSNR:g} dB.</p>")
     for scene in scenes:
@@ -142,72 +138,6 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
     return ["<h2>3. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
-
-
-def _latency(result: Mapping[str, Any]) -> list[str]:
-    head, *rows = report_latency.rows(dict(result))
-    shown = [
-        f"2 x {run['size'][0]}x{run['size'][1]}: {run['pictures_a_second']:.1f} pictures a second, "
-        f"{run['bytes_per_frame'] / 1024:.0f} KiB each, {run['dropped']} of {run['sent']} replaced by newer requests"
-        for run in result["runs"]
-    ]
-    return [
-        "<h2>4. Latency</h2>",
-        f"<p>A server and a client on this machine; the embedded recording of head and hands at {result['fps']:.0f} "
-        "requests a second (ms; the paper's column is its table, on its authors' GPU, headset and network).</p>",
-        table_of(head, rows),
-        "<ul>",
-        *(f"<li>{escaped(line)}</li>" for line in shown),
-        "</ul>",
-    ]
-
-
-def _growth(growth: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[str]:
-    rows, lines = [], []
-    for axis in ("splats", "pixels", "views"):
-        for row in growth[axis]:
-            what = [axis, row["splats"], f"{row['views']} x {row['size']}x{row['size']}"]
-            if "left_out" in row:
-                rows.append([*what, f"left out: {row['left_out']}", "", "", "", ""])
-                continue
-            process = row["process_bytes"]
-            grown = process / 1e6 if process is not None else "not measured"
-            rows.append([*what, row["ms"]["median"], row["ms"]["p95"], row["ms"]["cpu"], row["gpu_bytes"] / 1e6, grown])
-    fits = growth["fits"]
-    stages = {f"{stage}, ns a splat": line for stage, line in fits["stages_ns_a_splat"].items()}
-    named = {
-        "whole frame, ns a splat": (fits["ns_a_splat"], "ms"),
-        **{name: (line, "ms") for name, line in stages.items()},
-        "whole frame, ns a pixel": (fits["ns_a_pixel"], "ms"),
-        "whole frame, ms a view": (fits["ms_a_view"], "ms"),
-        "buffers and textures, bytes a splat": (fits["gpu_bytes_a_splat"], "bytes"),
-        "buffers and textures, bytes a pixel": (fits["gpu_bytes_a_pixel"], "bytes"),
-        "process, bytes a splat": (fits["process_bytes_a_splat"], "bytes"),
-    }
-    for name, (line, unit) in named.items():
-        if line:
-            constant = f"{number_of(line['constant'])} {unit}"
-            lines.append([name, line["slope"], constant, f"{100 * line['largest_relative_error']:.0f} %"])
-    return [
-        "<h2>5. Growth</h2>",
-        f"<p>{escaped(growth['scene'])}, with fewer or more splats of the same area in all. Straight lines of least "
-        "relative error through the medians; the last column says how far the worst point lies off.</p>",
-        image_of(pictures, "growth.png"),
-        table_of(["slope", "value", "constant", "worst point"], lines),
-        table_of(
-            [
-                "along",
-                "splats",
-                "views",
-                "ms, median",
-                "ms, p95",
-                "ms of CPU",
-                "buffers and textures (MB)",
-                "process grew by (MB)",
-            ],
-            rows,
-        ),
-    ]
 
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..page import document, escaped, table_of
-from ..report import latency
+from ..replay import latency
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -39,17 +39,13 @@ def _facts(rows: Rows) -> str:
 
 
 def _speed(rows: Rows) -> str:
-    names = ["pixels an eye", "batched (ms)", "p95", "not batched (ms)", "p95", "gain", "gain over eye by eye"]
+    names = ["pixels an eye", "batched (ms)", "not batched (ms)", "eye by eye (ms)", "gain"]
     paper = ["paper, batched (ms)", "paper, not batched (ms)", "paper, gain"]
+    keys = ("pair_ms", "two_ms", "in_turn_ms", "gain")
     done = [row for row in rows if "left_out" not in row]
-    times = [
-        [f"{row['size']}²", *row["pair_ms"].values(), *row["two_ms"].values(), row["gain"], row["in_turn_gain"]]
-        + list(row["paper"].values())
-        for row in done
-    ]
-    stages = [[f"{row['size']}²", s["stage"], s["pair_ms"], s["two_ms"]] for row in done for s in row["stages"]]
+    times = [[f"{row['size']}²", *(row[key] for key in keys), *row["paper"].values()] for row in done]
     left = [f"<p>{row['size']}²: left out, {escaped(row['left_out'])}</p>" for row in rows if "left_out" in row]
-    return "".join([table_of(names + paper, times), table_of(["pixels an eye", "stage", *names[1:4:2]], stages), *left])
+    return "".join([table_of(names + paper, times), *left])
 
 
 def _stream(rows: Rows) -> str:

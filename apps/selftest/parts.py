@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.sections.batching import PAPER, batching
+from glsplat.extras.evaluate.sections.costs import SIZES, costs
 from glsplat.extras.evaluate.selftest.driver import context_cases, facts
 from glsplat.extras.evaluate.selftest.paths import contract_cases
 from glsplat.extras.evaluate.selftest.speed import frame_ms, largest_scene
@@ -26,14 +26,14 @@ from glsplat.extras.evaluate.stability.skin import skin_cases
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context, create_context
 
-from ..report import latency
+from ..replay import latency
 
 _SILENCE_S = 400.0  # without a word from a part before it is ended
 _END_S = 10.0  # for a part to end after its last step
 _RESTARTS = 3  # of a part that ends before its last step
 _SECONDS_A_SIZE = {False: 30.0, True: 8.0}  # of the speed part; quick
 _TOO_SLOW_MS = 3000.0  # a frame; above it nothing is measured
-_RUNS_A_FRAME = 8  # renders that a frame of ``batching`` takes, in frames of a pair
+_RUNS_A_FRAME = 3  # of ``costs``, in frames of a pair
 GOLDENS = ("tests/golden/test_goldens.py::test_golden", "tests/golden/test_contract.py::test_contract")
 
 Tell = Callable[[str], None]
@@ -99,9 +99,9 @@ def _speed(quick: bool, tell: Tell) -> Iterator[Step]:
         if one > _TOO_SLOW_MS:
             return {"size": size, "left_out": f"a frame takes {one / 1000:.1f} s"}
         frames = int(min(60, max(3, 1000 * _SECONDS_A_SIZE[quick] / (_RUNS_A_FRAME * one))))
-        return batching(context, subject, frames)
+        return costs(context, {subject.name: avatar}, [size], frames)[0]
 
-    for size in PAPER:
+    for size in SIZES:
         yield Step(f"2 x {size}x{size}", lambda size=size: measured(size))  # type: ignore[misc]
 
 

@@ -6,6 +6,7 @@ A file is a path (str, bytes, os.PathLike), or an object that is open already, i
 from __future__ import annotations
 
 import io
+import json
 import logging
 import os
 import secrets
@@ -104,6 +105,20 @@ def open_regular(source: Source) -> Iterator[tuple[BinaryIO, int]]:
         raise FormatError(f"{name}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:  # a path with a NUL byte, a file that was closed
         raise FormatError(f"{name!r}: cannot be read ({error})") from None
+
+
+def read_json(source: Source, kind: str, most: int) -> Any:
+    """Return the JSON value of a file of at most ``most`` bytes; ``kind`` ("a light") is what messages call it.
+
+    Raises FormatError.
+    """
+    with naming(source), open_regular(source) as (file, size):
+        if size > most:
+            raise FormatError(f"{kind} has at most {most} bytes, this one {size}")
+        try:
+            return json.loads(file.read())
+        except (ValueError, RecursionError) as error:
+            raise FormatError(f"{kind} is JSON, but {error}") from None
 
 
 def replace_file(target: Source, parts: Iterable[bytes | memoryview], *, private: bool = False) -> None:

@@ -38,5 +38,5 @@ def test_bench_of_an_avatar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     arguments = ["bench", str(tmp_path / "a.glb"), "--motion", str(motion), "--sizes", "16", "--frames", "3"]
     assert main(arguments) == 0
     text = capsys.readouterr().out
-    assert "in motion, 2 x 16x16" in text and "skinning by joints a splat" in text and "frame / floor" in text
+    assert "in motion, 2 x 16x16" in text and "    skin " in text and "frame / floor" in text
     assert "--frames: needs a whole number of at least 3" in mistake(capsys, *arguments[:-1], 2)

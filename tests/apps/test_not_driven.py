@@ -64,7 +64,7 @@ def test_bench_measures_what_stands_and_says_so(files: Path, capsys: pytest.Capt
     assert main(["bench", "five.glb", "--sizes", "16", "--frames", "3", "--json"]) == 0
     out, err = capsys.readouterr()
     result = json.loads(out)
-    assert [row["kind"] for row in result["settings"]] == ["static"] and result["influences"] == []
+    assert [row["kind"] for row in result["settings"]] == ["static"]
     assert err.startswith("glsplat bench: five.glb: wave-and-turn cannot drive this avatar: no joint for head")
     (line,) = but_the_gate(err)
     assert line.endswith("measured standing still")

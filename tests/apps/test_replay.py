@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import multiprocessing
 import socket
 from pathlib import Path
 from random import Random
@@ -16,6 +17,7 @@ import pytest
 import simplejpeg
 
 from apps.replay import command as replay
+from apps.replay import latency
 from apps.replay import link as link_module
 from apps.replay.link import Link, link, over
 from apps.replay.stage_table import comparison_markdown, table_text
@@ -271,3 +273,23 @@ def test_a_lost_packet_comes_a_round_trip_later():
     assert abs(np.mean(late >= 0.04) - 0.1) < 0.02 and abs(np.mean(late >= 0.08) - 0.01) < 0.006
     assert np.mean([Link(40, 10, 10).loss_delay(4096, chance) > 0 for _ in range(2000)]) > 0.2  # three packets
     assert not any(Link(40, 10).loss_delay(10**6, chance) for _ in range(20))
+
+
+@pytest.mark.check
+@pytest.mark.gl
+def test_a_short_stream_is_measured_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "_SIZES", ((64, 64), (96, 96)))
+    monkeypatch.setattr(latency, "_SECONDS", (0.5, 0.6))
+    result = latency.measure(quick=False)
+    assert json.loads(json.dumps(result)) == result and not multiprocessing.active_children()
+    assert [run["size"] for run in result["runs"]] == [[64, 64], [96, 96]] and result["driver"]
+    for run in result["runs"]:
+        stages = run["stages"]
+        assert list(stages) == [key for key, _, _ in STAGES] and run["pictures_a_second"] > 0
+        assert all(0 <= stage["median"] <= stage["p95"] for stage in stages.values())
+        assert min(stages[key]["median"] for key in ("ik", "render", "encode", "decode")) > 0
+        assert stages["end_to_end"]["p95"] >= max(stage["median"] for stage in stages.values())
+    table = latency.rows(result)
+    assert table[0] == ["stage", "where", "paper", "2 x 64x64: median", "p95", "2 x 96x96: median", "p95"]
+    assert [row[:3] for row in table[1:]] == [[name, place, latency.PAPER[key]] for key, name, place in STAGES]
+    assert all(len(row) == 7 and float(row[3]) >= 0 for row in table[1:])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import json
-import multiprocessing
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,13 +13,9 @@ import numpy as np
 import pytest
 
 from apps.cli import main
-from apps.replay.streaming import STAGES
 from apps.report import command as report
-from apps.report import latency as report_latency
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate import subjects as report_subjects
-from glsplat.extras.evaluate.sections import growth as report_growth
-from glsplat.extras.evaluate.sections.growth import Grid
 from glsplat.extras.evaluate.sections.left_out import features_of, left_out
 from glsplat.extras.evaluate.stability import frame as report_stability
 from glsplat.extras.evaluate.stability.extremes import all_cases
@@ -109,14 +104,8 @@ def test_pictures_that_differ_are_not_called_one(context: Context) -> None:
 
 
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A whole grid, the streaming of latency and pictures of the paper's sizes take longer than a test may."""
-    stage = {"median": 1.0, "p95": 2.0}
-    run = {"size": [32, 32], "pictures_a_second": 9.0, "bytes_per_frame": 2048, "dropped": 1, "sent": 10}
-    streamed = {"fps": 72.0, "paper": report_latency.PAPER, "runs": [{**run, "stages": {s[0]: stage for s in STAGES}}]}
-    monkeypatch.setattr(report_latency, "measure", lambda *_: streamed)
+    """All features that can be left out take longer than a test may."""
     monkeypatch.setattr(report, "features_of", lambda *given: features_of(*given)[:2])
-    monkeypatch.setattr(report, "grid_of", lambda _: Grid((100, 400), (16, 32), (1, 2), size=32, frames=2, alone=False))
-    monkeypatch.setattr(report_growth, "default_avatar", lambda: limb(200))
 
 
 @pytest.mark.check
@@ -148,31 +137,10 @@ def test_from_the_command_line(
     assert [s["size"] for s in result["scenes"]] == [[32, 32]] * 3
     assert result["driver"] and result["machine"] and result["cores"] >= 1 and result["date"] >= "2026"
     assert {"glsplat", "python", "numpy", "moderngl", "matplotlib", "flip-evaluator"} <= set(result["versions"])
-    assert result["latency"]["runs"]
-    assert {row["splats"] for row in result["growth"]["splats"]} == {100, 400}
     text = (out / "report.html").read_text()
     (failed,) = [row for row in result["stability"] if row["verdict"] == "failed"]
     assert failed["error"] is None and result["scenes"][0]["rows"][0]["cpu_ms"] > 0
-    assert set(result["quiet"]) == {"others", "noise"} and "6. What to use on" in text and "glsplat render" in text
+    assert set(result["quiet"]) == {"others", "noise"} and "4. What to use on" in text and "glsplat render" in text
     assert text.count('<tr class="failed">') == 1 and "&lt;script&gt;" in text and "bad &lt;b&gt;" in text
     assert not re.findall(r'(?:src|href)="(?!data:)', text) and "http" not in re.sub(r"data:[^\"]+", "", text)
-    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 5
-
-
-@pytest.mark.check
-def test_a_short_stream_is_measured_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report_latency, "_SIZES", ((64, 64), (96, 96)))
-    monkeypatch.setattr(report_latency, "_SECONDS", (0.5, 0.6))
-    result = report_latency.measure(quick=False)
-    assert json.loads(json.dumps(result)) == result and not multiprocessing.active_children()
-    assert [run["size"] for run in result["runs"]] == [[64, 64], [96, 96]] and result["driver"]
-    for run in result["runs"]:
-        stages = run["stages"]
-        assert list(stages) == [key for key, _, _ in STAGES] and run["shown"] >= 1
-        assert all(0 <= stage["median"] <= stage["p95"] for stage in stages.values())
-        assert min(stages[key]["median"] for key in ("ik", "render", "encode", "decode")) > 0
-        assert stages["end_to_end"]["p95"] >= max(stage["median"] for stage in stages.values())
-    table = report_latency.rows(result)
-    assert table[0] == ["stage", "where", "paper", "2 x 64x64: median", "p95", "2 x 96x96: median", "p95"]
-    assert [row[:3] for row in table[1:]] == [[name, place, result["paper"][key]] for key, name, place in STAGES]
-    assert all(len(row) == 7 and float(row[3]) >= 0 for row in table[1:])
+    assert text.count("data:image/png;base64,") == len(list(out.glob("*.png"))) == 4

@@ -9,25 +9,22 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import dataclasses
-import json
 import signal
 import sys
-import tempfile
-import time
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 
 from tests.net.attacks.attack import ATTACKS, EVERYTHING, Attackers, attackers
 from tests.net.attacks.good import GoodClient, Service
-from tests.net.attacks.light import light_avatar
 from tests.net.attacks.victim import Victim, victim
 
 HEAD = (
     "| attack | undisturbed | rate | age | afterwards | RSS MB | lives | log lines | losses | rebuilds | refused | |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
+
+SIZE, HERTZ = 128, 3.0  # pixels an eye of the good client, and its pace
+WARM_UP_S, QUIET_S = 1.5, 2.0  # before anything counts; undisturbed, before and after each attack
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,26 +71,22 @@ async def measure(
     name: str,
     *,
     sources: list[str],
-    connections: int = 4,
-    seconds: float = 3.0,
-    quiet: float = 2.0,
-    good: str = "127.0.0.2",
-    hertz: float | None = 5.0,
-    size: int = 128,
-    warm: float = 1.5,  # seconds before anything counts
-    datagrams: bool = False,  # the good client has its pictures by them
+    connections: int,
+    seconds: float,
+    good: str,
+    datagrams: bool,  # the good client has its pictures by them
 ) -> Outcome:
     """One attack on a running server, once from each of ``sources``, with quiet phases before, between and after."""
-    client = GoodClient(server.target.to(good), size, hertz, datagrams=datagrams)
+    client = GoodClient(server.target.to(good), SIZE, HERTZ, datagrams=datagrams)
     running = asyncio.create_task(client.run())
     try:
-        await asyncio.sleep(warm)
+        await asyncio.sleep(WARM_UP_S)
         while datagrams and not client.by_datagrams:
             await asyncio.sleep(0.1)
         calm: list[Service] = []
         for _ in range(5):  # a machine with other work may have a bad second, which nothing could be compared with
-            calm = [await client.over(quiet)]
-            if calm[0].rate >= 0.8 * min(hertz or 1.0, 5.0):
+            calm = [await client.over(QUIET_S)]
+            if calm[0].rate >= 0.8 * HERTZ:
                 break
         rss, lines, hits = server.rss()["all"], server.log_lines, []
         for source in sources:
@@ -102,7 +95,7 @@ async def measure(
             hits.append(await client.over(seconds))
             await asyncio.to_thread(raiders.end)
             await asyncio.sleep(0.5)
-            calm.append(await client.over(quiet))
+            calm.append(await client.over(QUIET_S))
     finally:
         running.cancel()
     if datagrams:
@@ -116,31 +109,6 @@ async def measure(
     left = server.rss()["all"] if server.process.poll() is None else float("nan")
     counts = server.log_lines - lines, stats.get("rebuilds", -1), stats.get("refused", -1)
     return Outcome(name, calm, hits, (rss, left), alive, *counts)
-
-
-async def hour(server: Victim, raiders: Attackers, seconds: float, source: str, connections: int) -> None:
-    """Time-lapsed: every attack in turn, ``seconds`` in all; memory and service while it goes on."""
-    client = GoodClient(server.target.to("127.0.0.2"), 128, 5.0)
-    running = asyncio.create_task(client.run())
-    await asyncio.sleep(1.5)
-    before = await client.over(5.0)
-    print(f"{0:6.0f} s: {server.rss()['server']:.1f} MB serving, {server.rss()['all']:.1f} MB in all", flush=True)
-    start = time.monotonic()
-    await asyncio.to_thread(raiders.begin, EVERYTHING, source, connections)
-    while (gone := time.monotonic() - start) < seconds:
-        rate, age = (await client.over(min(20.0, max(1.0, seconds - gone)))).against(before)
-        rss = server.rss()
-        print(
-            f"{time.monotonic() - start:6.0f} s: {rss['server']:.1f} MB serving, {rss['all']:.1f} MB in all, "
-            f"rate {rate:.0%}, age x {age:.1f}, {server.log_lines} log lines",
-            flush=True,
-        )
-    await asyncio.to_thread(raiders.end)
-    running.cancel()
-    await asyncio.sleep(3)
-    rss = server.rss()
-    totals = server.stats().get("totals", {})
-    print(f"after: {rss['server']:.1f} MB serving, {rss['all']:.1f} MB, alive: {server.alive()}, {json.dumps(totals)}")
 
 
 def addresses(source: str, rounds: int) -> list[str]:
@@ -159,61 +127,35 @@ def main() -> None:
     parser.add_argument("--good", default="127.0.0.2", help="the good client's address")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=3.0, help="under attack in a round; twice that all at once")
-    parser.add_argument("--quiet", type=float, default=2.0, help="seconds undisturbed, before and after each")
-    parser.add_argument("--hertz", type=float, default=5.0, help="the good client's pace; 0: as fast as pictures come")
-    parser.add_argument("--size", type=int, default=128, help="pixels an eye of the good client")
     parser.add_argument("--datagrams", action="store_true", help="the good client has its pictures by them, 127.0.0.1")
     parser.add_argument("--files", type=int, help="descriptors the server may have")
-    parser.add_argument("--hour", type=float, metavar="SECONDS", help="all attacks for so long, memory as it goes")
     parser.add_argument("--options", default="", help="further ones of glsplat serve, name=value for those of its file")
-    parser.add_argument("--json", help="write the rows to this file")
-    parser.add_argument("--light", action="store_true", help="serve one splat in three of the default avatar")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # which ends the server, too
     names = args.names or [*ATTACKS, EVERYTHING]
-    unknown = [name for name in names if name not in (*ATTACKS, EVERYTHING)]
-    if unknown:
+    if unknown := [name for name in names if name not in (*ATTACKS, EVERYTHING)]:
         parser.error(f"{unknown[0]!r} is none of {', '.join([*ATTACKS, EVERYTHING])}")
     options = args.options.split()
     if args.datagrams:
         args.good = "127.0.0.1"  # which is where its QUIC comes from
         options.append("webtransport=true")
-    if args.light:
-        options.append(str(light_avatar(Path(tempfile.mkdtemp()))))
-    if args.hour:
-        with victim(*options, files=args.files) as server, attackers(server.port) as raiders:
-            asyncio.run(hour(server, raiders, args.hour, args.source, 16))
-        return
-    rows = []
+    same = args.source == args.good
     for name in names:
         whole = name == EVERYTHING
         with victim(*options, files=args.files) as server, attackers(server.port) as raiders:
-            if not rows:
-                print(
-                    f"{server.driver}; attackers from {args.source}, the good client {args.good}\n\n{HEAD}", flush=True
-                )
-            outcome = asyncio.run(
-                measure(
-                    server,
-                    raiders,
-                    name,
-                    sources=[args.good] * args.rounds
-                    if args.source == args.good
-                    else addresses(args.source, args.rounds),
-                    connections=16 if whole else args.connections,
-                    seconds=args.seconds * (2 if whole else 1),
-                    quiet=args.quiet,
-                    good=args.good,
-                    hertz=args.hertz or None,
-                    size=args.size,
-                    datagrams=args.datagrams,
-                )
+            if name == names[0]:
+                print(f"{server.driver}; attackers from {args.source}, the good client {args.good}\n\n{HEAD}")
+            run = measure(
+                server,
+                raiders,
+                name,
+                sources=[args.good] * args.rounds if same else addresses(args.source, args.rounds),
+                connections=16 if whole else args.connections,
+                seconds=args.seconds * (2 if whole else 1),
+                good=args.good,
+                datagrams=args.datagrams,
             )
-            rows.append(outcome)
-            print(outcome, flush=True)
-    if args.json:
-        with open(args.json, "w") as file:
-            json.dump([dataclasses.asdict(row) for row in rows], file, indent=1)
+            print(asyncio.run(run), flush=True)
 
 
 if __name__ == "__main__":

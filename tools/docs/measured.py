@@ -22,6 +22,8 @@ from textwrap import fill
 from typing import Any
 
 from apps.demo import running_server
+from apps.replay.latency import PAPER
+from apps.replay.streaming import STAGES
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.quiet import Quiet, until_quiet
 from glsplat.extras.evaluate.stability.extremes import all_cases
@@ -32,23 +34,13 @@ from glsplat.io.provenance import machine
 from tests.conftest import SHARED_DATA
 from tools.docs import precision
 from tools.docs.approximations import ABOUT, others_plot
+from tools.net import ladder_table
 from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
 SIZES = (512, 768, 1024)
 LINKS = ("20,50", "40,50", "40,5")  # ms there and back, Mbit/s
-
-# paper/appendix, "Latency breakdown of the streaming pipeline", localhost, 2 x 1024^2, ms
-PAPER = {
-    "ik": ("tracking and inverse kinematics", "~1 (headset)"),
-    "communication": ("communication, both ways", "< 1"),
-    "wait": ("waiting for the renderer (newest request)", "-"),
-    "render": ("stereo rendering, both eyes", "23 - 27"),
-    "encode": ("encoding (JPEG)", "1 - 2"),
-    "decode": ("decoding", "5 - 10 (with display)"),
-    "end_to_end": ("end to end", "30 - 41"),
-}
 
 _TABLE = re.compile(r"<!-- table: (\S+) -->\n\n(.*?)\n\n<!-- end -->", re.S)
 _COPY = re.compile(r"(<!-- measured: (\S+)/(\S+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
@@ -166,13 +158,13 @@ def stream() -> Iterator[Table]:
     yield "summary", "`glsplat demo`: pictures shown a second, and the median age of the one on show.", "\n".join(rows)
     ours = [lean[f"{side}x{side}"]["stages_ms"] for side in (512, 1024)]
     rows = ["| stage | paper | glsplat, 2 x 512^2 | p95 | glsplat, 2 x 1024^2 | p95 |", "|---|--:|--:|--:|--:|--:|"]
-    for key, (name, paper) in PAPER.items():
+    for key, name, _ in STAGES:
         cells = [f"{run[key][part]:.1f}" for run in ours for part in ("median", "p95")]
-        rows.append(f"| {name} | {paper} | " + " | ".join(cells) + " |")
+        rows.append(f"| {name} | {PAPER[key]} | " + " | ".join(cells) + " |")
     yield (
         "paper",
         "Medians in ms beside the paper's appendix (localhost, 2 x 1024^2, a CUDA rasterizer on a desktop GPU).\n"
-        "Both columns of glsplat are drawn by a CPU.",
+        "Its decoding includes the display. Both columns of glsplat are drawn by a CPU.",
         "\n".join(rows),
     )
     with running_server(None) as url:
@@ -216,24 +208,18 @@ def links() -> Iterator[Table]:
 
 
 def ladder() -> Iterator[Table]:
-    """What size, quality and chroma cost in bits and in sight."""
+    """What size and quality cost in bits and in sight."""
     files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
     about = (
         "The left eye of `glsplat replay` at 1024^2, the embedded people, and an avatar of 39,998\n"
         "splats of another person (files named by GLSPLAT_MEASURED_AVATARS). JPEG as the server makes it, decoded,\n"
         "enlarged to full size; LPIPS (AlexNet) and PSNR in the avatar's box against the uncompressed picture of full\n"
-        "size. Shown are those on the front: no other setting of 4:2:0 has fewer bytes in the box and less LPIPS.\n"
+        "size. Shown are those on the front of 4:2:0: none else has fewer bytes in the box and less LPIPS.\n"
         "glsplat/net/pace/ladder.py is drawn from it."
     )
-    yield "moments", about, _front(script("tools.net.ladder_table", *files))
+    yield "moments", about, ladder_table.table(files, ladder_table.DEVELOPED)
     note = "The same for moments of other motions, which the ladder was not drawn from."
-    yield "set-aside", note, _front(script("tools.net.ladder_table", "--set-aside", *files))
-
-
-def _front(text: str) -> str:
-    """The rows on the front of a table of ladder_table."""
-    head, line, *rows = _markdown(text).splitlines()
-    return "\n".join([head, line, *(row for row in rows if row.endswith("yes |"))])
+    yield "set-aside", note, ladder_table.table(files, ladder_table.SET_ASIDE)
 
 
 def _markdown(text: str) -> str:

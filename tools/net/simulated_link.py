@@ -3,9 +3,8 @@
 What is real is the server's control of a link (glsplat/net/pace). The rest is a model:
 
 - The display asks at 72 Hz; requests are small and take half of the round trip.
-- The newest request is drawn when the renderer is free: 50 ms for a pair of full size (the 20 a second of the issue),
-  (0.18 + 0.82 scale^2) as much for smaller ones, then 4 ms
-  to encode. Pictures vary by a tenth in size.
+- The newest request is drawn when the renderer is free: 50 ms for a pair of full size, (0.18 + 0.82 scale^2) as much
+  for smaller ones, then 4 ms to encode. Pictures vary by a tenth in size.
 - The bottleneck is one queue, first in, first out, that never overflows. A lost packet (1,448 bytes) is sent again when
   three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
   Whatever lies behind it waits (TCP delivers in order). TCP's own window is not modelled: with loss that would send
@@ -24,10 +23,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from random import Random
-from typing import Protocol
 
 from glsplat.extras.far_links.datagrams.packets import PIECE
 from glsplat.extras.far_links.datagrams.redundancy import parity_for
+from glsplat.extras.far_links.link_control import LinkControl
 from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 
 REFRESH = 1 / 72
@@ -48,19 +47,6 @@ class Link:
     rate: Callable[[float], float]
     round_trip: float  # seconds
     loss: float = 0.0  # of the packets
-
-
-class Policy(Protocol):
-    """What a server does for one client: LinkControl, or what it is compared with."""
-
-    def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung: ...
-    def ponged(self, payload: bytes, now: float) -> None: ...
-    def follow(self, number: int) -> bytes: ...
-    def written(self, number: int, nbytes: int, now: float) -> None: ...
-    def acknowledged(self, number: int, age: float, held: float, now: float) -> None: ...
-    def lost(self, number: int, now: float) -> None: ...
-    def ping(self, now: float) -> bytes | None: ...
-    def rest(self, now: float) -> float: ...
 
 
 class Fixed:
@@ -118,6 +104,10 @@ class Oracle(Fixed):
         return max(0.0, self._free - now - DRAW - 0.5 * self._own, self._begun + self._least - now)
 
 
+Policy = LinkControl | Fixed
+"""What a server does for one client, or what that is compared with."""
+
+
 @dataclass
 class Outcome:
     """Of one client, behind the warm-up."""
@@ -167,34 +157,24 @@ def play(
     ``busy``: seconds between two moments at which the clients look at what arrived. ``full``: bytes of a pair at full
     size and quality, as of a video. ``datagrams``: not over TCP.
     """
-    return _Simulation(link, policies, seconds, seed, starts, busy, full, datagrams).run()
+    clients = [_Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)]
+    starts = starts or [0.003 * i for i in range(len(policies))]
+    return _Simulation(link, clients, seconds, busy, full, datagrams).run(starts)
 
 
 class _Simulation:
     def __init__(
-        self,
-        link: Link,
-        policies: Sequence[Policy],
-        seconds: float,
-        seed: int,
-        starts: Sequence[float],
-        busy: float,
-        full: int,
-        datagrams: bool,
+        self, link: Link, clients: Sequence[_Client], seconds: float, busy: float, full: int, datagrams: bool
     ) -> None:
-        self._datagrams = datagrams
-        self._link, self._end, self._busy, self._full = link, WARM_UP + seconds, busy, full
-        self._clients = [
-            _Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)
-        ]
-        self._starts = list(starts) or [0.003 * i for i in range(len(policies))]
+        self._link, self._clients, self._datagrams = link, clients, datagrams
+        self._end, self._busy, self._full = WARM_UP + seconds, busy, full
         self._free = 0.0  # when the bottleneck has sent what it was given
         self._now = 0.0
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = count()
 
-    def run(self) -> list[Outcome]:
-        for client, start in zip(self._clients, self._starts, strict=True):
+    def run(self, starts: Sequence[float]) -> list[Outcome]:
+        for client, start in zip(self._clients, starts, strict=True):
             self._at(start, lambda client=client: self._refresh(client))
         while self._events and self._events[0][0] < self._end:
             self._now, _, act = heapq.heappop(self._events)

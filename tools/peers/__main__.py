@@ -16,7 +16,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from playwright.sync_api import sync_playwright
 
 import glsplat
@@ -64,50 +64,29 @@ VIEWS = {"whole": (2.7, 1.05), "near": (1.2, 1.45)}  # metres away, and up
 
 
 class _Handler(SimpleHTTPRequestHandler):
-    roots: dict[str, Path]
-    data: dict[str, bytes]
-
     def log_message(self, *_: Any) -> None:
         pass
 
-    def do_GET(self) -> None:
-        """Made things first, then files of one of the folders."""
-        path = self.path.partition("?")[0]
-        if path in self.data:
-            kind = {"html": "text/html", "json": "application/json", "js": "text/javascript"}
-            self.send_response(200)
-            self.send_header("Content-Type", kind.get(path.rpartition(".")[2], "application/octet-stream"))
-            self.send_header("Content-Length", str(len(self.data[path])))
-            self.end_headers()
-            self.wfile.write(self.data[path])
-            return
-        super().do_GET()
 
-    def translate_path(self, path: str) -> str:
-        """Of /vr/ and /npm/."""
-        root, _, rest = path.partition("?")[0].strip("/").partition("/")
-        return str(self.roots.get(root, Path("/nowhere")) / rest)
-
-
-def files() -> dict[str, bytes]:
-    """The page and what it shows."""
+def write_site(folder: Path) -> None:
+    """Write the page and what it shows: /data, this package's page as /vr, and the others' packages as /npm."""
     avatar = glsplat.default_avatar()
     walk = load_motion("walk", avatar.skeleton)
-    with tempfile.TemporaryDirectory() as folder:
-        glsplat.save(posed_splats(avatar, walk.pose(STANDING)), Path(folder) / "avatar.ply")
-        ply = (Path(folder) / "avatar.ply").read_bytes()
     html = f'<!doctype html><script type="importmap">{json.dumps({"imports": MODULES, "scopes": SCOPES})}</script>'
     html += '<script type="module" src="/data/page.js"></script>'
-    page = Path(__file__).with_name("viewers.js").read_bytes()
-    return {
-        "/data/index.html": html.encode(),
-        "/data/page.js": page,
-        "/data/avatar.ply": ply,
-        "/data/avatar.splats": encode_avatar(avatar),
-        "/data/walk.json": json.dumps(baked(walk)).encode(),
-        "/data/pose.json": json.dumps(baked(walk)["frames"][STANDING]).encode(),
-        **{f"/vr/{path}": body for path, body in page_files().items()},
+    files = {f"vr/{path}": body for path, body in page_files().items()} | {
+        "data/index.html": html.encode(),
+        "data/page.js": Path(__file__).with_name("viewers.js").read_bytes(),
+        "data/avatar.splats": encode_avatar(avatar),
+        "data/walk.json": json.dumps(baked(walk)).encode(),
+        "data/pose.json": json.dumps(baked(walk)["frames"][STANDING]).encode(),
     }
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    glsplat.save(posed_splats(avatar, walk.pose(STANDING)), folder / "data" / "avatar.ply")
+    if not (folder / "npm").exists():
+        (folder / "npm").symlink_to("node_modules")
 
 
 class Own:
@@ -137,20 +116,10 @@ class Own:
         self._renderer.release()
 
 
-def seconds_of(root: int) -> float:
-    """CPU seconds that a process and all below it have taken: other load on the machine does not count in it."""
-    parents, used = {}, {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue  # it has ended
-        pid = int(stat.parent.name)
-        parents[pid], used[pid] = int(fields[1]), int(fields[11]) + int(fields[12])
-    below = {root}
-    for _ in range(8):
-        below |= {pid for pid, parent in parents.items() if parent in below}
-    return sum(used[pid] for pid in below if pid in used) / os.sysconf("SC_CLK_TCK")
+def cpu_seconds() -> float:
+    """CPU seconds that this process and all below it have taken: other load on the machine does not count in it."""
+    me = psutil.Process()
+    return sum(sum(one.cpu_times()[:2]) for one in (me, *me.children(recursive=True)))
 
 
 def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple[float, float]]:
@@ -165,12 +134,12 @@ def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple
     for turn in range(ROUNDS):
         for name in walls:
             question = {"name": name, "frames": FRAMES, "first": turn * FRAMES, "of": ROUNDS * FRAMES, **where}
-            before = seconds_of(os.getpid())
+            before = cpu_seconds()
             if name == OWN:
                 walls[name] += own.run(FRAMES, turn * FRAMES, ROUNDS * FRAMES)
             else:
                 walls[name] += page.evaluate("(question) => run(question)", question)[1:]
-            used[name] += seconds_of(os.getpid()) - before
+            used[name] += cpu_seconds() - before
     own.close()
     return {name: (float(np.median(walls[name])), 1e3 * used[name] / (ROUNDS * FRAMES)) for name in walls}
 
@@ -179,9 +148,8 @@ def compared(folder: Path, sides: list[int]) -> Iterator[Table]:
     """One table a size; leaves a picture of each viewer in the folder."""
     if not (folder / "node_modules").is_dir():
         subprocess.run(["npm", "install", "--silent", "--prefix", str(folder), *PACKAGES], check=True)
-    _Handler.roots = {"npm": folder / "node_modules"}
-    _Handler.data = files()
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Handler))
+    write_site(folder)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Handler, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with sync_playwright() as play:
         flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist"]

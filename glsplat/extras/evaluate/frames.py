@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera
-from glsplat.config import RenderConfig, with_fields
+from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
@@ -63,36 +62,6 @@ def triangles_of(scene: SceneLike) -> int:
     """Triangles of the visible meshes."""
     items = (item for item in Scene.of(scene) if item.visible)
     return sum(len(item.content.faces) for item in items if isinstance(item.content, RiggedMesh))
-
-
-class Binocular:
-    """One thing drawn as a pair in one call, by two renderers that share nothing, and eye by eye by one renderer.
-
-    ``make`` makes a renderer for so many views; release it on the thread that made it.
-    """
-
-    def __init__(self, make: Callable[[int], Renderer]) -> None:
-        with ExitStack() as stack:
-            self.pair, self._shared, self._left, self._right = (
-                stack.enter_context(make(views)) for views in (2, 1, 1, 1)
-            )
-            self._renderers = stack.pop_all()
-
-    def frame(self, eyes: Sequence[Camera], pose: Pose | None) -> tuple[float, float, float]:
-        """Milliseconds of one frame in those three ways, one after the other."""
-        self.pair.render(eyes, pose)
-        alone = in_turn = 0.0
-        for renderer, eye in zip((self._left, self._right), eyes, strict=True):
-            renderer.render([eye], pose)
-            alone += renderer.timings["total"]
-        for eye in eyes:
-            self._shared.render([eye], pose)
-            in_turn += self._shared.timings["total"]
-        return self.pair.timings["total"], alone, in_turn
-
-    def release(self) -> None:
-        """Delete the renderers."""
-        self._renderers.close()
 
 
 class Bench:
@@ -184,37 +153,6 @@ class Bench:
         for renderer in (pair, single, staged):
             renderer.release()
         return row
-
-    def influences(self, avatar: Avatar, motion: Motion, pixels: tuple[int, int]) -> list[dict[str, Any]]:
-        """The skin stage by joints a splat, interleaved, and the pose upload it needs."""
-        counts = [k for k in (1, 2, 4, 8) if k <= avatar.skin.influences]
-        renderers = {
-            k: Probe(
-                avatar,
-                size=pixels,
-                views=2,
-                context=self._context,
-                timed=True,
-                config=with_fields(self._config, influences=k),
-            )
-            for k in counts
-        }
-        samples: dict[int, list[tuple[float, float]]] = {k: [] for k in counts}
-        for i in range(self._frames + WARM_UP):
-            for k, renderer in renderers.items():
-                renderer.render(self.eyes(avatar, pixels, i), motion.at(i / 30))
-                if i >= WARM_UP:
-                    samples[k].append((renderer.timings["skin"], renderer.timings["pose"]))
-        for renderer in renderers.values():
-            renderer.release()
-        return [
-            {
-                "influences": k,
-                "skin_ms": asdict(Series.of([skin for skin, _ in samples[k]])),
-                "pose_and_upload_ms": asdict(Series.of([pose for _, pose in samples[k]])),
-            }
-            for k in counts
-        ]
 
     def _unmoved(self, renderer: Renderer, eyes: Sequence[Camera], pose: Pose | None) -> float:
         """Two single renders of an unmoved scene: each eye is drawn twice and its second time counts."""

@@ -10,7 +10,7 @@ from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip
 from glsplat.extras.rigs.humanoid import upright
-from glsplat.extras.rigs.match import RigMap, match_rig
+from glsplat.extras.rigs.match import RigMap, match_rig, other_side
 from glsplat.rotations import nearest_rotations, rotation_between, unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -42,7 +42,7 @@ def standing(clip: Clip, *, swapped: bool = False) -> Standing:
     """
     if swapped:
         found = _matched(clip)
-        other = {name: found.joints.get(_other_side(name)) for name in JOINT_NAMES}
+        other = {name: found.joints.get(other_side(name)) for name in JOINT_NAMES}
         clip = replace(clip, given=other)
     found = _matched(clip)
     try:
@@ -52,11 +52,6 @@ def standing(clip: Clip, *, swapped: bool = False) -> Standing:
         return Standing(clip, found, turn, turn)
     moves = np.eye(3) if clip.y_up else _up_as_it_moves(clip, found, turn[1], turn[0])
     return Standing(clip, found, turn, turn @ moves)
-
-
-def _other_side(joint: str) -> str:
-    side, _, part = joint.partition("_")
-    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, joint)
 
 
 def _matched(clip: Clip) -> RigMap:

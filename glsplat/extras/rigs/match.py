@@ -37,6 +37,12 @@ class RigMap:
         return len(self.joints)
 
 
+def other_side(joint: str) -> str:
+    """Return the joint's name with left and right exchanged."""
+    side, _, part = joint.partition("_")
+    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, joint)
+
+
 def match_rig(
     names: Sequence[str],
     parents: ArrayLike,  # [J] -1 for a root

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,7 @@ from glsplat.camera import Camera
 from glsplat.errors import FormatError
 from glsplat.formats.camera_file import camera_from_json
 from glsplat.formats.registry import load
-from glsplat.io.files import open_regular
+from glsplat.io.files import read_json
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
@@ -141,14 +140,7 @@ def _one_of(stem: Path, suffixes: tuple[str, ...]) -> Path | None:
 
 
 def _object(path: Path) -> Mapping[str, Any]:
-    with open_regular(path) as (file, size):
-        if size > _LARGEST:
-            raise FormatError(f"{path}: a note has at most {_LARGEST} bytes, this one {size}")
-        text = file.read()
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: a note is JSON, but {error}") from None
+    data = read_json(path, "a note", _LARGEST)
     if not isinstance(data, dict):
         raise FormatError(f"{path}: a note is a JSON object, not {type(data).__name__}")
     return data

@@ -102,7 +102,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
     quick: dict[str, Renderer] = {}
     staged: dict[str, Renderer] = {}
     totals: dict[str, list[tuple[float, float]]] = {side: [] for side in sides}
-    passes: dict[str, dict[str, list[float]]] = {side: {} for side in sides}
+    passes: dict[str, set[str]] = {side: set() for side in sides}
     buffers: dict[str, int] = {}
     try:
         for side, (scene, config) in sides.items():
@@ -123,8 +123,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
                 images[side] = staged[side].render(views, pose)
                 if frame >= WARM_UP:
                     totals[side].append(taken)
-                    for stage, ms in staged[side].timings.items():
-                        passes[side].setdefault(stage, []).append(ms)
+                    passes[side] |= staged[side].timings.keys()
             apart = max(apart, float(np.nan_to_num(np.abs(images["lean"] - images["full"]), nan=1e3).max()))
         row: dict[str, Any] = {"feature": feature.name, "how": feature.how}
         for side in sides:
@@ -132,10 +131,8 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
                 "ms": asdict(Series.of_times(totals[side])),
                 "programs": quick[side].programs_compiled,
                 "passes": [stage for stage in STAGES if stage in passes[side]],
-                "stages_ms": {s: round(float(np.median(v)), 3) for s, v in passes[side].items() if s != "total"},
                 "bytes": quick[side].nbytes(),
                 "buffers": buffers[side],
-                "variant": asdict(quick[side].variant),
             }
     finally:
         for renderer in (*quick.values(), *staged.values()):

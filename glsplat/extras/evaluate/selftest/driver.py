@@ -8,6 +8,7 @@ import os
 import subprocess
 from collections.abc import Callable
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, stereo_cameras
 from glsplat.errors import ContextError
-from glsplat.extras.evaluate.sections.growth import resident
 from glsplat.extras.evaluate.stability.frame import Case, Outcome, cloud
 from glsplat.gl.context import Context, create_context, egl_devices
 from glsplat.gl.functions import gl_functions
@@ -74,6 +74,14 @@ def memory(context: Context) -> dict[str, Any]:
     except (OSError, ValueError, subprocess.TimeoutExpired):
         pass  # no NVIDIA driver
     return found
+
+
+def resident() -> int | None:
+    """Return the bytes of memory of this process; None where the system does not tell (only Linux does)."""
+    try:
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return None
 
 
 def context_cases(tick: Callable[[float], object]) -> list[Case]:

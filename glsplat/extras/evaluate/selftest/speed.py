@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from glsplat.avatar import Avatar
 from glsplat.data import default_avatar
-from glsplat.extras.evaluate.sections.growth import resampled
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
+from glsplat.skinning.skin import Skin
 
 _FEWEST, _MOST = 1_000, 8_192_000  # splats
 _HALVINGS = 3  # of the interval between the last that keeps the rate and the first that does not
@@ -50,3 +51,20 @@ def largest_scene(
         middle = (low + high) // 2
         low, high = (middle, high) if keeps(middle) else (low, middle)
     return {"splats": low, "size": size, "hertz": hertz, "tried": [[n, tried[n]] for n in sorted(tried)]}
+
+
+def resampled(avatar: Avatar, count: int, seed: int = 0) -> Avatar:
+    """Return the avatar with another number of splats and the same area in all: enlarged, or several for each.
+
+    For timing only: copies lie beside each other at random, in the plane of the splat they come from.
+    """
+    have = len(avatar.splats)
+    rng = np.random.default_rng(seed)
+    times = -(-count // have)
+    index = np.sort(rng.permutation(have * times)[:count]) // times
+    splats, shrink = avatar.splats.take(index), np.float32(np.sqrt(have / count))
+    offset = splats.scales * rng.normal(0, 1, splats.scales.shape).astype(np.float32) if times > 1 else 0
+    w, xyz = splats.quats[:, :1], splats.quats[:, 1:]
+    turned = offset + 2 * np.cross(xyz, np.cross(xyz, offset) + w * offset) if times > 1 else 0
+    moved = replace(splats, means=(splats.means + turned).astype(np.float32), scales=splats.scales * shrink)
+    return Avatar(moved, avatar.skeleton, Skin(avatar.skin.joints[index], avatar.skin.weights[index]), avatar.meta)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.rigs.humanoid import reference_joints
+from glsplat.extras.rigs.match import other_side
 from glsplat.extras.rigs.meshes.faces import Faces
 from glsplat.extras.rigs.meshes.ground import faces_back, on_the_floor
 from glsplat.extras.rigs.meshes.left_out import TRIANGLES, LeftOut, apart, carried, nearest, refuse_packed, survey
@@ -186,7 +187,7 @@ def _rigged(
     if rig.map is not None:
         skeleton, at = on_the_floor(skeleton, at, all_joints, all_weights, rig.map.joints)
         if not known and faces_back(skeleton, at, all_joints, all_weights, rig.map.joints):
-            other = {_mirrored(name): node for name, node in rig.map.joints.items()}
+            other = {other_side(name): node for name, node in rig.map.joints.items()}
             return _rigged(container, graph, shown, source, own_joints, rig_map, scale, other, rig.guessed)
     meta: dict[str, Any] = {"source": source} | container.note()
     meta.pop("version", None)
@@ -222,12 +223,6 @@ def _wide(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """[V, K] of parts of different widths; what is added is zero."""
     width = max(part.shape[1] for part in parts)
     return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in parts])
-
-
-def _mirrored(joint: str) -> str:
-    """The same joint of the other side."""
-    side, _, part = joint.partition("_")
-    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, joint)
 
 
 def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str, int | None]:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
-from glsplat.io.files import open_regular
+from glsplat.io.files import read_json
 
 from .table import number_of, read_rows
 
@@ -44,18 +43,14 @@ def read_codebook(path: Path) -> Codebook | None:
     """The sidecar in this file; None where there is no such file, or it says nothing of a study. Raises FormatError."""
     if not path.is_file():
         return None
-    with open_regular(path) as (file, size):
-        if size > MOST_BYTES:
-            raise FormatError(f"{path}: expected a sidecar of at most {MOST_BYTES >> 20} MiB")
-        data = file.read()
+    whole = read_json(path, "a sidecar", MOST_BYTES)
+    if not isinstance(whole, dict) or "Study" not in whole:
+        return None
     try:
-        whole = json.loads(data)
-        if not isinstance(whole, dict) or "Study" not in whole:
-            return None
         study = whole["Study"]
         factors = {name: _texts(factor["levels"]) for name, factor in study["factors"].items()}
         measures = tuple(_measure(name, said) for name, said in study.get("measures", {}).items())
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(
             f"{path}: its key Study does not list factors and measures correctly ({error!r:.80})"
         ) from None

@@ -1,7 +1,7 @@
 """Small pairs of pictures, and where PyPI's own ``lpips`` says what it thinks of them: lpips.json beside the pictures.
 
-The pictures p01 and p02 are of synthetic people made of MakeHuman system assets (CC0 since 2020-09). This module needs
-nothing of glsplat: tools/peers/lpips_reference.py reads it where only torch is installed.
+The pictures p01 and p02 are of synthetic people made of MakeHuman system assets (CC0 since 2020-09). The script
+``lpips_reference`` of e1884627 wrote lpips.json with the packages lpips and torch.
 """
 
 from __future__ import annotations
