@@ -19,7 +19,7 @@ from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES, blink_shape_of
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
-from glsplat.extras.authoring.faces.lashes_and_hair import (
+from glsplat.extras.authoring.faces.lashes import (
     LASH_RGB,
     ExtraSplats,
     add_splats,

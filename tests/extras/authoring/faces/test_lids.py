@@ -11,7 +11,7 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.faces.blinks import EYEBALL_RETREAT_M
 from glsplat.extras.authoring.faces.eyeballs import Eyeball, fit_eyeballs
-from glsplat.extras.authoring.faces.lashes_and_hair import LASH_SPLATS, with_lashes
+from glsplat.extras.authoring.faces.lashes import LASH_SPLATS, with_lashes
 from glsplat.extras.authoring.faces.lid_colours import lid_colours
 from glsplat.extras.authoring.faces.lids import with_lids
 from glsplat.extras.authoring.faces.openings import Opening, lid_edges

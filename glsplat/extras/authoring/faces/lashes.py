@@ -1,4 +1,4 @@
-"""Add details finer than a mesh's texture as splats: lashes, the upper lid's shadow, a catch light, hair."""
+"""Add details finer than a mesh's texture as splats: lashes, the upper lid's shadow, a catch light."""
 
 from __future__ import annotations
 
@@ -35,11 +35,6 @@ _SHADOW_GAP_M, _GLINT_GAP_M = 0.0002, 0.0004  # from the eyeball
 _GLINT_ANGLES_RAD = np.radians((10.0, 13.0))  # left and up: where an eye mirrors a window
 _GLINT_LID_GAP_RAD = np.radians(5)  # below the lid's edge, at least
 _GLINT_RETREAT_M = 0.008  # into the eye, in a blink
-_STRAND_SIGMAS_M = (0.0075, 0.00050, 0.00018)
-_BROW_HAIR_SIGMAS_M = (0.0014, 0.00011, 0.00008)
-_MIN_HAIR_ALPHA, _MIN_BROW_ALPHA = 0.8, 0.35  # of a texel that has hair
-_HAIR_GAP_M = 0.0008  # from the surface
-_MAX_TRIES = 20
 
 
 class ExtraSplats(NamedTuple):
@@ -89,87 +84,6 @@ def with_lashes(
     bends = np.where((made.shapes.rows >= first_shadow)[:, None, None], 0, made.shapes.bends)  # lids stretch sixfold
     shapes = replace(made.shapes, bends=bends)
     return replace(made, shapes=_hide_in_blinks(shapes, first, lit_joints) if glints else shapes)
-
-
-def with_strands(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
-    """Return the avatar with ``count`` long, thin splats along the flow of the hair ``part``, in varied tones.
-
-    Textures of hair run along it, so the flow is the direction in which v changes. Levels are dropped.
-    """
-    rng = np.random.default_rng((seed, 8))
-    points = _scatter_on_part(mesh, part, count, rng, _MIN_HAIR_ALPHA)
-    if points is None:
-        return avatar
-    sigmas = np.array(_STRAND_SIGMAS_M) * rng.uniform(0.6, 1.3, (len(points.rgb), 1))
-    tone = points.rgb * rng.uniform(0.65, 1.45, (len(points.rgb), 1)) + rng.uniform(0, 0.03, (len(points.rgb), 1))
-    return add_splats(avatar, mesh, points.splats_along(points.along, sigmas, tone, 0.8))
-
-
-def with_brow_hairs(avatar: Avatar, mesh: RiggedMesh, part: str, count: int, seed: int = 0) -> Avatar:
-    """Return the avatar with ``count`` hairs on its brows ``part``: upright at the nose, flat at the temple.
-
-    Levels are dropped.
-    """
-    rng = np.random.default_rng((seed, 9))
-    points = _scatter_on_part(mesh, part, count, rng, _MIN_BROW_ALPHA)
-    if points is None:
-        return avatar
-    from_middle = np.abs(points.means[:, 0])
-    share = ((from_middle - from_middle.min()) / max(float(np.ptp(from_middle)), 1e-9))[:, None]
-    share = share + rng.normal(0, 0.12, (count, 1))
-    way = np.concatenate([np.sign(points.means[:, :1]) * (0.25 + 0.75 * share), 1.0 - 1.25 * share, 0 * share], axis=1)
-    way -= np.einsum("nc,nc->n", way, points.facing)[:, None] * points.facing
-    sigmas = np.array(_BROW_HAIR_SIGMAS_M) * rng.uniform(0.7, 1.2, (count, 1))
-    rgb = points.rgb * rng.uniform(0.7, 1.2, (count, 1))
-    return add_splats(avatar, mesh, points.splats_along(way, sigmas, rgb, 0.75))
-
-
-class _HairPoints(NamedTuple):
-    """Points on a part of the mesh."""
-
-    means: F64
-    facing: F64  # unit normals, outwards
-    along: F64  # direction of the hair in the texture
-    rgb: F64
-    faces: Indices
-
-    def splats_along(self, along: F64, scales: F64, rgb: F64, opacity: float) -> ExtraSplats:
-        """Return a splat for each point in the direction ``along``, just above the surface."""
-        axes, opacities = axes_along(along, self.facing), np.full(len(self.means), opacity)
-        means = self.means + self.facing * _HAIR_GAP_M
-        return ExtraSplats(means, axes, scales, opacities, np.clip(rgb, 0, 1), self.faces)
-
-
-def _scatter_on_part(
-    mesh: RiggedMesh, part: str, count: int, rng: np.random.Generator, min_alpha: float
-) -> _HairPoints | None:
-    """Return ``count`` points, uniform over a part's texels of at least ``min_alpha``; None without enough."""
-    begin = 0
-    for hair in mesh.parts:
-        if hair.name == part:
-            break
-        begin += len(hair.faces)
-    else:
-        return None
-    corners = mesh.vertices[hair.faces]
-    along, normal, area = _flow(corners, hair.uv)
-    found: list[tuple[Indices, F64, F64]] = []
-    for _ in range(_MAX_TRIES):
-        which = rng.choice(len(area), 4 * count, p=area / area.sum())
-        edge, other = np.sqrt(rng.random(4 * count)), rng.random(4 * count)
-        bary = np.stack([1 - edge, edge * (1 - other), edge * other], axis=1)
-        rgba = hair.sample(np.einsum("nk,nkc->nc", bary, hair.uv[which]))
-        with_hair = rgba[:, 3] > min_alpha
-        found.append((which[with_hair], bary[with_hair], rgba[with_hair, :3]))
-        if sum(len(each[0]) for each in found) >= count:
-            break
-    which, bary, rgb = (np.concatenate(each)[:count] for each in zip(*found, strict=True))
-    if len(which) < max(count, 1):
-        return None
-    means = np.einsum("nk,nkc->nc", bary, corners[which])
-    outward = np.einsum("ni,ni->n", normal[which], means - corners.mean(axis=(0, 1)))
-    facing = normal[which] * np.where(outward < 0, -1, 1)[:, None]
-    return _HairPoints(means, facing, along[which], rgb, (which + begin).astype(np.intp))
 
 
 def _lashes(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator, length_factor: float) -> ExtraSplats:
@@ -276,13 +190,3 @@ def axes_along(first: F64, third: F64) -> F64:
     one = unit_vectors(first, 1e-30)
     two = unit_vectors(np.cross(third, one), 1e-30)
     return np.stack([one, two, np.cross(one, two)], axis=2)
-
-
-def _flow(corners: F64, uv: F64) -> tuple[F64, F64, F64]:
-    """Return for triangles [F, 3, 3] with texture coordinates [F, 3, 2] the direction of v [F, 3], normal and area."""
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(one, other)
-    area = np.linalg.norm(normal, axis=1) / 2
-    first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    along = other * first[:, :1] - one * second[:, :1]
-    return along, normal / np.maximum(2 * area, 1e-30)[:, None], area

@@ -1,8 +1,7 @@
-"""Lashes, shadows, lights in the eyes, strands of hair; and the face that people from photographs get."""
+"""Lashes, shadows of lids, lights in the eyes."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,10 +11,10 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.open_face import with_expressions
 from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs
-from glsplat.extras.authoring.faces.lashes_and_hair import LID_SHADOW_RGB, with_brow_hairs, with_lashes, with_strands
+from glsplat.extras.authoring.faces.lashes import LID_SHADOW_RGB, with_lashes
 from glsplat.extras.authoring.faces.openings import find_openings, lid_edges
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0
 from tests.extras.authoring.faces.figures import avatar_on, person
@@ -66,64 +65,6 @@ def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
 def smiling() -> Avatar:
     """Few splats with shapes."""
     return with_shapes(avatar_on(expressive(), 300), expressive())
-
-
-def test_strands_lie_along_the_texture_s_second_axis() -> None:
-    mesh = person()
-    vertices = np.array([[0.0, 1.9, 0], [0.2, 1.9, 0], [0.2, 2.1, 0.05], [0, 2.1, 0.05]])
-    first = len(mesh.vertices)
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32) + first
-    uv = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], float)
-    hair = MeshPart("hair", faces, uv, np.full((4, 4, 4), 255, np.uint8))
-    head = mesh.skeleton.names.index("head")
-    bound = np.zeros((4, mesh.joints.shape[1]), np.int64)
-    bound[:, 0] = head
-    weights = np.zeros(bound.shape)
-    weights[:, 0] = 1
-    tufted = replace(
-        mesh,
-        vertices=np.concatenate([mesh.vertices, vertices]),
-        joints=np.concatenate([mesh.joints, bound]),
-        weights=np.concatenate([mesh.weights, weights]),
-        parts=(*mesh.parts, hair),
-    )
-    bald = avatar_on(mesh, 300)
-    made = with_strands(bald, tufted, "hair", 200)
-    assert len(made.splats) == 500 and (made.skin.joints[300:, 0] == head).all()
-    w, x, y, z = made.splats.quats[300:].astype(float).T
-    along = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1)
-    up = np.array([0, 0.2, 0.05]) / np.linalg.norm([0.2, 0.05])
-    assert (np.abs(along @ up) > 0.999).all()
-    assert (made.splats.scales[300:, 0] > 5 * made.splats.scales[300:, 1]).all()
-    assert with_strands(bald, tufted, "wig", 200) is bald
-
-
-def test_brows_have_hairs_upright_at_the_nose_and_lying_at_the_temple() -> None:
-    mesh = person()
-    bald = avatar_on(mesh, 300)
-    head = mesh.skeleton.names.index("head")
-    middle = np.array(mesh.skeleton.joints[head]) + (0, 0.1, 0.1)
-    corners = [[-0.06, 0, 0], [-0.01, 0, 0], [-0.06, 0.01, 0], [-0.01, 0.01, 0]]
-    corners += [[0.01, 0, 0], [0.06, 0, 0], [0.01, 0.01, 0], [0.06, 0.01, 0]]
-    first, influences = len(mesh.vertices), mesh.joints.shape[1]
-    faces = np.array([[0, 1, 2], [1, 3, 2], [4, 5, 6], [5, 7, 6]], np.int32) + first
-    brown = np.full((4, 4, 4), 255, np.uint8)
-    brown[..., :3] = (90, 60, 40)
-    browed = replace(
-        mesh,
-        vertices=np.concatenate([mesh.vertices, middle + np.array(corners)]),
-        joints=np.concatenate([mesh.joints, np.full((8, influences), head)]),
-        weights=np.concatenate([mesh.weights, np.eye(1, influences).repeat(8, axis=0)]),
-        parts=(*mesh.parts, MeshPart("eyebrows", faces, np.zeros((4, 3, 2)) + [[0, 0], [1, 0], [0, 1]], brown)),
-        morphs=None,
-    )
-    made = with_brow_hairs(bald, browed, "eyebrows", 160)
-    assert len(made.splats) == 460 and (made.splats.scales[300:, 0] > 5 * made.splats.scales[300:, 1]).all()
-    w, x, y, z = made.splats.quats[300:].astype(float).T
-    along = np.abs(np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)], axis=1))
-    aside = np.abs(made.splats.means[300:, 0] - middle[0])
-    assert along[aside < 0.02, 1].mean() > 0.85 and along[aside > 0.05, 0].mean() > 0.85
-    assert with_brow_hairs(bald, browed, "beard", 160) is bald
 
 
 def test_lid_shadows_follow_the_lids_without_stretching() -> None:
