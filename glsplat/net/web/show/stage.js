@@ -181,7 +181,7 @@ export class Stage {
   /** The box about the user's own person in a room, by the head; null if that is not known. */
   get ownBox() {
     const [x, y, z] = this.heads.own ?? [];
-    return x === undefined ? null : [x - 0.2, y - 1.5, z - 0.2, x + 0.2, y + 0.23, z + 0.2];
+    return x === undefined ? null : [x - 0.2, y - 1.5, z - 0.2, x + 0.2, y + 0.17, z + 0.2];
   }
 
   /** Return the names over the heads in the pair on the display, for an eye. */
