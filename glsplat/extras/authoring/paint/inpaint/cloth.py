@@ -193,7 +193,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
         these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], _ROW_REACH_M)
-        these = None if these is None else without_mixed_rows(these)
+        these = None if these is None else without_mixed_rows(these, skin)
         if these is not None and number in _CLOTHED:
             below = (number != _TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
             row = ((at - these.first) / ROW_M).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
