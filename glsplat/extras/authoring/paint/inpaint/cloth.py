@@ -193,8 +193,9 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
         these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], _ROW_REACH_M)
-        these = None if these is None else without_mixed_rows(these, skin)
-        if these is not None and number in _CLOTHED:
+        if these is None:
+            return None
+        if number in _CLOTHED:
             below = (number != _TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
             row = ((at - these.first) / ROW_M).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
             x, y = where[taken, 0], where[taken, 1]
@@ -204,7 +205,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
                 least = NECKLINE_DISTANCE if number in _SLEEVES else _SKIN_DISTANCE
                 pattern &= np.linalg.norm(these.colour - skin, axis=1) > least
             these = replace(these, pattern=pattern)
-        return these
+        return without_mixed_rows(these, skin)
 
     rows = map_threads(row_of, range(len(_REGIONS)))
     for left, right in _PAIRS:  # sleeves, and trouser legs, are of one cloth

@@ -97,9 +97,9 @@ def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
 def without_mixed_rows(rows: Rows, skin: F64 | None = None) -> Rows:
     """Return the rows without those of several colours between two that agree: an aslant hem, or lettering.
 
-    Rows of the colour ``skin`` [3] stay: a bare belly between two white garments.
+    Rows of a pattern and of the colour ``skin`` [3] stay: a bare belly between two white garments.
     """
-    colour, odd = rows.colour.copy(), rows.tolerance > _MIXED_TOLERANCE
+    colour, odd = rows.colour.copy(), (rows.tolerance > _MIXED_TOLERANCE) & ~rows.pattern
     if skin is not None:
         odd &= np.linalg.norm(colour - skin, axis=1) > SAME_COLOUR_DISTANCE
     far = np.linalg.norm(colour[:, None] - colour, axis=2) > _MIXED_DISTANCE
@@ -108,8 +108,9 @@ def without_mixed_rows(rows: Rows, skin: F64 | None = None) -> Rows:
         low, high = first + np.flatnonzero(far[row, first:row]), row + 1 + np.flatnonzero(far[row, row + 1 : last])
         agree = np.argwhere(~far[np.ix_(low, high)] & (high - low[:, None] <= _MIXED_ROWS))
         if len(agree):
-            near = agree[np.argmin(high[agree[:, 1]] - low[agree[:, 0]])]
-            colour[row] = (rows.colour[low[near[0]]] + rows.colour[high[near[1]]]) / 2
+            before, after = low[agree[:, 0]], high[agree[:, 1]]
+            near = int(np.argmin(after - before))
+            colour[row] = (rows.colour[before[near]] + rows.colour[after[near]]) / 2
     return replace(rows, colour=colour, outer=colour)
 
 
