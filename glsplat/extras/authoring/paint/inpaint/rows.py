@@ -103,7 +103,7 @@ def without_mixed_rows(rows: Rows, skin: F64 | None = None) -> Rows:
     if skin is not None:
         odd &= np.linalg.norm(colour - skin, axis=1) > SAME_COLOUR_DISTANCE
     far = np.linalg.norm(colour[:, None] - colour, axis=2) > _MIXED_DISTANCE
-    for row in np.flatnonzero(odd):
+    for row in np.flatnonzero(odd).tolist():
         first, last = max(row - _MIXED_ROWS, 0), row + _MIXED_ROWS
         low, high = first + np.flatnonzero(far[row, first:row]), row + 1 + np.flatnonzero(far[row, row + 1 : last])
         agree = np.argwhere(~far[np.ix_(low, high)] & (high - low[:, None] <= _MIXED_ROWS))
