@@ -127,17 +127,13 @@ class Painter:
         round_parts = vertices_of(body, *_UNMATCHED)
         trust = matched.visibility * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
         trust = trust * material.likeness(matched.linear / source_shade[:, None])
-        # colours filled into a hole count less than the cloth's, unless that has a pattern
-        arms = self.cloth.on_sleeves(points)
-        trust = np.where((material.known > 0) & (~material.pattern | arms), trust * matched.known, trust)
-        # folds, shadows and prints of a front have no counterpart behind: plain cloth takes its fine texture only
-        woven = np.where((material.known > 0) & ~material.pattern, trust, 0.0)
-        trust = trust - woven
+        # folds, shadows and prints of a front have no counterpart behind, patterns have
+        arms, cloth = self.cloth.on_sleeves(points), material.known > 0
+        trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
         plain = np.maximum(points.at(self.plain) + material.known[:, None] * material.colour, 0)
-        plain *= (1 + woven * (matched.weave - 1))[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * matched.linear
         # the other half of the body may show what this one hides
