@@ -94,14 +94,12 @@ def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
     return mode, float(away[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
-def without_mixed_rows(rows: Rows, skin: F64 | None = None) -> Rows:
+def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
     """Return the rows without those of several colours between two that agree: an aslant hem, or lettering.
 
-    Rows of a pattern and of the colour ``skin`` [3] stay: a bare belly between two white garments.
+    Rows of a pattern stay, and those that have their colour at their ends, too, ``flanks`` [R, 3]: a bare belly.
     """
     colour, odd = rows.colour.copy(), (rows.tolerance > _MIXED_TOLERANCE) & ~rows.pattern
-    if skin is not None:
-        odd &= np.linalg.norm(colour - skin, axis=1) > SAME_COLOUR_DISTANCE
     far = np.linalg.norm(colour[:, None] - colour, axis=2) > _MIXED_DISTANCE
     for row in np.flatnonzero(odd).tolist():
         first, last = max(row - _MIXED_ROWS, 0), row + _MIXED_ROWS
@@ -110,7 +108,9 @@ def without_mixed_rows(rows: Rows, skin: F64 | None = None) -> Rows:
         if len(agree):
             before, after = low[agree[:, 0]], high[agree[:, 1]]
             near = int(np.argmin(after - before))
-            colour[row] = (rows.colour[before[near]] + rows.colour[after[near]]) / 2
+            mean, own = (rows.colour[before[near]] + rows.colour[after[near]]) / 2, rows.colour[row]
+            end = mean if flanks is None else flanks[row]
+            colour[row] = mean if np.linalg.norm(end - mean) < np.linalg.norm(end - own) else own
     return replace(rows, colour=colour, outer=colour)
 
 

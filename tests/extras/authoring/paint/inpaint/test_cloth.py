@@ -126,13 +126,14 @@ def test_lettering_is_no_band_and_stripes_and_belts_are() -> None:
     colour[15:21] = 0.3, 0.22, 0.23  # black and white letters on red
     flat = np.zeros(40)
 
-    def cleaned(spread: float, skin: np.ndarray | None = None) -> np.ndarray:
+    def cleaned(spread: float, flanks: np.ndarray | None = None) -> np.ndarray:
         tolerance[15:21] = spread
-        return without_mixed_rows(Rows(1, 0.0, colour, tolerance, colour, flat, flat > 0), skin).colour
+        return without_mixed_rows(Rows(1, 0.0, colour, tolerance, colour, flat, flat > 0), flanks).colour
 
     assert np.abs(cleaned(0.14) - colour[0]).max() < 0.01
     assert np.array_equal(cleaned(0.08), colour)  # of one colour: it goes round
-    assert np.array_equal(cleaned(0.14, colour[15]), colour)  # a bare belly
+    assert np.array_equal(cleaned(0.14, colour), colour)  # a bare belly
+    assert np.abs(cleaned(0.14, np.tile(colour[0], (40, 1))) - colour[0]).max() < 0.01
 
 
 def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> None:
