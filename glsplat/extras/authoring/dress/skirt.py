@@ -1,8 +1,8 @@
-"""Turn the inner halves of the legs into a skirt or the back of a coat, which follow both legs.
+"""Turn hips and legs into a skirt or a coat, one surface that follows both legs.
 
 The body has no cloth between its legs. If the picture shows cloth there down to a hem, the inner halves of both legs
-become one sheet in front and one behind, from the middle of one leg to the middle of the other. An open coat has the
-one behind. Behind, cloth hangs straight down from the seat.
+become one sheet in front and one behind, from the middle of one leg to the middle of the other. Cloth hangs straight
+down from belly and seat and ends in an edge. An open coat is closed in front: its gap is painted on the sheet.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.dress.coat import coat_hem
+from glsplat.extras.authoring.body.segments import trunk_vertices
+from glsplat.extras.authoring.dress.coat import MIN_COVERED_FRACTION, coat_hem, hem_row, leg_gaps
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
-from glsplat.extras.authoring.fit.kinematics import fully_posed, projected
-from glsplat.extras.authoring.fit.outline import projected_mask
+from glsplat.extras.authoring.fit.kinematics import projected
 from glsplat.extras.authoring.fit.view import View
 from glsplat.meshes import RiggedMesh
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -28,17 +29,17 @@ F64 = NDArray[np.float64]
 
 _LEGS = ("hip", "knee", "ankle")
 # fractions of the person's height in the picture
-_MIN_GAP_FRACTION = 0.012  # width between bare legs of a row that counts
 _MIN_HEM_GAP_FRACTION = 0.04  # width between the legs at a hem; the gap of trousers begins narrow
-_MIN_SKIRT_FRACTION = 0.06  # length of the covered gap; a shorter one is the cut of trousers
-_MIN_GOWN_FRACTION = 0.25  # the same for a gown to the floor
-_MIN_COVERED_FRACTION = 0.97  # of the gap, by a skirt
+_MIN_GOWN_FRACTION = 0.25  # length of the covered gap of a gown to the floor
 
-_ROW_M = 0.02
-_BLEND_M, _COAT_BLEND_M = 0.10, 0.04  # below the crotch, where legs become a sheet
-_TAPER_M = 0.15  # above a skirt's hem, where it draws near the legs
-_SEAM_RAD = np.radians(25)  # around a leg's innermost line, where front and back of the sheet meet
-_WEIGHT_BLEND_FACTOR = 1.8  # width over which weights pass from leg to leg, in distances between the knees
+_ROW_M = 0.03
+_BLEND_M = 0.10  # above the hips, where the trunk becomes a sheet
+_STRAIGHT_M = 0.08  # above a hem: the fitted surface narrows there towards the legs, cloth does not
+_BARE_M = 0.10  # below a hem: the fitted surface is still as wide as the cloth above
+_FRONT_QUANTILE = 0.02  # of the legs' depths in the picture
+_WALL_FRACTION = 0.5  # of a leg's half depth: where its inner side faces the other leg
+_MIN_OUTWARD = 0.05  # of a unit normal, in front or behind: faces of the sheet that turn away more are folds
+_WEIGHT_BLEND_FACTOR = 2.6  # width over which weights pass from leg to leg, in distances between the knees
 
 
 def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8]) -> Dressed:
@@ -47,9 +48,17 @@ def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8
     ``rgb`` [H, W, 3] is the front's picture.
     """
     dressed = Dressed(dressed_mesh(body, fit), fit.views)
-    skirt = hem_of(body, fit, dressed.mesh, views[0])
-    hem = coat_hem(body, dressed, rgb, views[0].mask) if skirt is None else skirt
-    return dressed if hem is None else with_skirt(body, dressed, views, hem, open_front=skirt is None)
+    hem = hem_of(body, fit, dressed.mesh, views[0])
+    if hem is not None:  # it hangs before the legs, so it is higher than where they meet its row
+        legs, where = _leg(body, "left") | _leg(body, "right"), dressed.views[0].vertices
+        _, down, away = np.median(where[legs & (np.abs(dressed.mesh.vertices[:, 1] - hem) < _ROW_M)], axis=0)
+        hem += float(down * (1 - np.quantile(where[legs, 2], _FRONT_QUANTILE) / away))
+    else:
+        hem = coat_hem(body, fit, dressed, rgb, views[0])
+    if hem is None:
+        return dressed
+    bare = body.shaped(fit.betas)[0] - (fit.joints[0] - dressed.mesh.skeleton.joints[0])
+    return with_skirt(body, bare, dressed, views, hem)
 
 
 def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | None:
@@ -58,71 +67,66 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
     A skirt covers the gap between the bare legs from the crotch to its hem and ends there. A gown covers the gap down
     to the ankles. A gown over legs without a gap cannot be told from trousers.
     """
-    front = fit.views[0]
-    posed = fully_posed(body, fit.betas, front.root, front.pelvis, front.rotations)
-    bare = posed.points(body.points(np.arange(len(body.vertices))))
-    pixels = projected(bare, view.focal, view.centre)[0]
-    legs = [
-        projected_mask(pixels, body.faces[_leg(body, side)[body.faces].all(axis=1)], view.mask.shape)
-        for side in ("left", "right")
-    ]
-    columns = np.arange(view.mask.shape[1])
-    gaps = []  # row, width in pixels, covered fraction
-    for row in range(view.mask.shape[0]):
-        ends = [columns[leg[row]] for leg in legs]
-        if not len(ends[0]) or not len(ends[1]):
-            continue
-        low, high = sorted(ends, key=lambda end: float(end.mean()))
-        gap = slice(int(low[-1]) + 1, int(high[0]))
-        if gap.stop - gap.start > _MIN_GAP_FRACTION * view.figure:
-            gaps.append((row, gap.stop - gap.start, float(view.mask[row, gap].mean())))
-    if not gaps:
+    gaps = leg_gaps(body, fit, view)
+    if not len(gaps):
         return None
-    rows, widths, covered = (np.array(column) for column in zip(*gaps, strict=True))
-    bare_rows = covered < 0.5
-    gown = not bare_rows.any()
-    last = len(rows) - 1 if gown else int(bare_rows.argmax())
-    hem_gap = widths[-(len(widths) // 4 + 1) :].min() if gown else widths[last]
-    if (
-        last == 0
-        or covered[:last].mean() < _MIN_COVERED_FRACTION
-        or hem_gap < _MIN_HEM_GAP_FRACTION * view.figure
-        or rows[last] - rows[0] < (_MIN_GOWN_FRACTION if gown else _MIN_SKIRT_FRACTION) * view.figure
-    ):
+    rows, widths, covered = gaps.T
+    last = hem_row(gaps, view)
+    if last is None:  # perhaps a gown
+        last, long = len(rows) - 1, rows[-1] - rows[0] > _MIN_GOWN_FRACTION * view.figure
+        if not long or covered.min() < 0.5 or covered.mean() < MIN_COVERED_FRACTION:
+            return None
+        hem_gap = widths[-(len(widths) // 4 + 1) :].min()
+    else:
+        hem_gap = widths[last]
+    if hem_gap < _MIN_HEM_GAP_FRACTION * view.figure:
         return None
-    near = (_leg(body, "left") | _leg(body, "right")) & (np.abs(pixels[:, 1] - rows[last]) < 0.01 * view.figure)
+    legs = _leg(body, "left") | _leg(body, "right")
+    near = legs & (np.abs(fit.views[0].pixels[:, 1] - rows[last]) < 0.01 * view.figure)
     return float(np.median(mesh.vertices[near, 1])) if near.any() else None
 
 
-def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float, open_front: bool = False) -> Dressed:
+def with_skirt(body: Body, bare: F64, dressed: Dressed, views: Sequence[View], hem: float) -> Dressed:
     """Return the dressed body with a skirt down to ``hem``, a height in metres in the zero pose.
 
-    With an ``open_front`` it is a coat's back, and the legs stay in front.
+    ``bare`` [V, 3] is the body without clothes. The skirt ends in an edge; the legs' faces inside it are left out.
     """
     mesh = dressed.mesh
-    rest, joints = mesh.vertices.copy(), mesh.skeleton.joints
-    _hang(body, rest, hem, 0.0 if open_front else _TAPER_M)
-    inner = rest.copy()
-    skirt = np.zeros(len(rest))  # 0 leg to 1 sheet
-    blend = _COAT_BLEND_M if open_front else _BLEND_M
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        leg = _leg(body, side)
+    rest, joints, height = mesh.vertices.copy(), mesh.skeleton.joints, mesh.vertices[:, 1]
+    trunk, legs = trunk_vertices(body) & body.skin, {side: _leg(body, side) for side in ("left", "right")}
+    worn, pelvis = trunk | legs["left"] | legs["right"], joints[JOINT_NAMES.index("pelvis"), 1]
+    skirt = ((pelvis + _BLEND_M - height) / _BLEND_M).clip(0, 1) * worn * (height > hem)  # 0 leg to 1 sheet
+    between = np.zeros(len(rest))  # the legs: 1 on the front of the sheet, -1 on its back
+    for (side, leg), sign in zip(legs.items(), (1.0, -1.0), strict=True):
+        below = leg & (height <= hem)
+        rest[below] += (1 - (hem - height[below, None]) / _BARE_M).clip(0, 1) * (bare - rest)[below]
+        mine = np.flatnonzero((skirt > 0) & (leg | (trunk & ((mesh.vertices[:, 0] < 0) == (sign < 0)))))
         line = joints[[JOINT_NAMES.index(f"{side}_{name}") for name in _LEGS]][::-1]
-        crotch = float(np.quantile(rest[leg, 1], 0.98))
-        share = ((crotch - rest[:, 1]) / blend).clip(0, 1) * (rest[:, 1] > hem) * leg
-        middle = np.interp(rest[:, 1], line[:, 1], line[:, 0])
-        back, front = (sign_z * _depths(rest, leg, sign_z) for sign_z in (-1.0, 1.0))
-        centre = (back + front) / 2
-        across, away = sign * (middle - rest[:, 0]), rest[:, 2] - centre
-        angle = np.arctan2(np.abs(away), across)  # 0 innermost, a right angle in front of or behind the leg's middle
-        flat = 1.0 if open_front else np.minimum(angle / _SEAM_RAD, 1)
-        angle = ((angle - _SEAM_RAD) / (np.pi / 2 - _SEAM_RAD)).clip(0, 1)
-        sheet = (across > 0) & leg & ((away < 0) | (not open_front))
-        depth = np.where(away > 0, front, back)
-        inner[sheet, 0] = (middle * angle)[sheet]
-        inner[sheet, 2] = (centre + flat * (depth - centre))[sheet]
-        rest[sheet] += share[sheet, None] * (inner - rest)[sheet]
-        skirt = np.maximum(skirt, share)
+        y, share = height[mine], skirt[mine]
+        middle = sign * np.interp(y, line[:, 1], line[:, 0])
+        x, z = sign * rest[mine, 0] - middle, rest[mine, 2]
+        inmost, outmost, front, back = (_reach(values, y, y + _ROW_M) for values in (-x, x, z, -z))
+        centre, inner = (front - back) / 2, x < 0
+        sense = np.where(z > centre, 1.0, -1.0)
+        round_off = np.abs(z - centre) / ((front + back) / 2)
+        flare = _reach(x, y, np.maximum(y + _ROW_M, hem + _STRAIGHT_M)) / np.maximum(outmost, 0.01)
+        across = middle + x * np.where(inner, middle / np.maximum(inmost, 0.01), flare)
+        across[inner & (round_off < _WALL_FRACTION)] = 0
+        hung = sense * np.where(sense > 0, *(_reach(values, y, y + np.inf) for values in (z, -z)))
+        depth = centre + np.where(inner, 1, round_off) * (hung - centre)
+        rest[mine, 0] += share * (sign * across - rest[mine, 0])
+        rest[mine, 2] += share * (depth - z)
+        between[mine] = sense * (inner & (share == 1))
+    crossing = (np.ptp(np.sign(height - hem)[mesh.faces], axis=1) > 0) & worn[mesh.faces].all(axis=1)
+    rest[np.unique(mesh.faces[crossing]), 1] = hem
+    first, second, third = (rest[corner] for corner in mesh.faces.T)
+    outward = unit_vectors(np.cross(second - first, third - first), 1e-30)[:, 2]
+    sense = between[mesh.faces]
+    inside = (sense != 0).all(axis=1) & (outward * sense.mean(axis=1) < _MIN_OUTWARD)
+    parts = []
+    for number, part in enumerate(mesh.parts):
+        kept = ~inside[mesh.face_parts == number]
+        parts.append(replace(part, faces=part.faces[kept], uv=part.uv[kept]))
     knee_distance = abs(joints[JOINT_NAMES.index("left_knee"), 0] - joints[JOINT_NAMES.index("right_knee"), 0])
     left = 0.5 + 0.5 * (rest[:, 0] / (_WEIGHT_BLEND_FACTOR * knee_distance / 2)).clip(-1, 1)
     weights = np.zeros((len(rest), len(JOINT_NAMES)))
@@ -134,26 +138,11 @@ def with_skirt(body: Body, dressed: Dressed, views: Sequence[View], hem: float, 
         weights[:, pair] += skirt[:, None] * (wanted - weights[:, pair])
     strongest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, : mesh.joints.shape[1]], axis=1)
     kept = np.take_along_axis(weights, strongest, axis=1)
-    mesh = replace(mesh, vertices=rest, joints=strongest, weights=kept / kept.sum(axis=1, keepdims=True))
+    kept /= kept.sum(axis=1, keepdims=True)
+    mesh = replace(mesh, vertices=rest, joints=strongest, weights=kept, parts=tuple(parts))
     changed = (skirt > 0) | (rest != dressed.mesh.vertices).any(axis=1)
     moved = (_moved(mesh, view, fitted, changed) for view, fitted in zip(views, dressed.views, strict=True))
     return Dressed(mesh, tuple(moved))
-
-
-def _hang(body: Body, rest: F64, hem: float, taper: float) -> None:
-    """Move what is behind in ``rest`` [V, 3] to where cloth hangs from the seat, less near the ``hem``."""
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        seat = _leg(body, side) | ((body.part == JOINT_NAMES.index("pelvis")) & (sign * rest[:, 0] > 0))
-        back, front, hung = (
-            -_depths(rest, seat, -1.0),
-            _depths(rest, seat, 1.0),
-            -_depths(rest, seat, -1.0, hanging=True),
-        )
-        centre, above = (back + front) / 2, rest[:, 1] - hem
-        share = (above / taper).clip(0, 1) if taper else (above > 0).astype(float)
-        depth = ((rest[:, 2] - centre) / np.minimum(back - centre, -0.01)).clip(0, 1)
-        hanging = rest[:, 2] + share * depth * np.minimum(hung - back, 0)
-        rest[seat, 2] = np.maximum(hanging, np.minimum(rest[:, 2], hung))[seat]  # rows without a vertex behind
 
 
 def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, chosen: NDArray[np.bool_]) -> FittedView:
@@ -163,17 +152,10 @@ def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, chosen: NDArray[np.
     return replace(fitted, vertices=vertices, pixels=projected(vertices, view.focal, view.centre)[0])
 
 
-def _depths(rest: F64, some: NDArray[np.bool_], sign: float, hanging: bool = False) -> F64:
-    """Return [V] the largest ``sign`` * z of ``some`` [V] vertices at each vertex's height, if ``hanging`` or above."""
-    row = np.round(rest[:, 1] / _ROW_M).astype(np.intp)
-    row -= row.min()
-    most = np.full(row.max() + 3, -np.inf)
-    np.maximum.at(most, row[some] + 1, sign * rest[some, 2])
-    if hanging:
-        most = np.maximum.accumulate(most[::-1])[::-1]
-    known = np.flatnonzero(np.isfinite(most))
-    most = np.interp(np.arange(len(most)), known, most[known])
-    return np.asarray(((most[:-2] + most[1:-1] + most[2:]) / 3)[row])
+def _reach(values: F64, height: F64, top: F64) -> F64:
+    """Return [K] the largest of the ``values`` [K] from about each ``height`` [K] up to ``top`` [K], metres."""
+    near = (height > height[:, None] - _ROW_M) & (height <= top[:, None])
+    return np.asarray(np.where(near, values, -np.inf).max(axis=1))
 
 
 def _leg(body: Body, side: str) -> NDArray[np.bool_]:

@@ -87,7 +87,7 @@ class Builtin:
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
-        avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng)
+        avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng, painted.contrast)
         unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(

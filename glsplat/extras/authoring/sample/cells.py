@@ -69,6 +69,7 @@ class Cloud:
     skin: csr_array  # [V, J] skinning weights, from ``skin_of``
     area: float  # m^2 of the covered surface
     faces: NDArray[np.intp]  # [M] triangle of the mesh
+    spread: NDArray[np.float64] | None = None  # [M] factor of the splats' standard deviations; None: 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,6 +200,8 @@ def _gaussians(
     frame = np.concatenate([tangent, np.cross(tangent[:, :, 0], tangent[:, :, 1])[:, :, None]], axis=2)
     scales = np.empty((count, 3))
     scales[:, :2] = config.sigma * np.sqrt(variance)
+    if cloud.spread is not None:
+        scales[:, :2] *= _cell_means(label, cloud.spread[:, None], area, np.ones((count, 1)))
     scales[:, 2] = np.clip(
         np.sqrt(np.maximum(across, 0)), config.thickness, _MAX_THICKNESS_FACTOR * scales[:, :2].min(axis=1)
     )

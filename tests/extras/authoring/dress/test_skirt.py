@@ -6,10 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.dress.coat import coat_hem
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed
 from glsplat.extras.authoring.dress.skirt import hem_of, with_skirt
 from glsplat.extras.authoring.fit.view import View
+from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -74,8 +76,8 @@ def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
     view = view_with(mask)
     hem = hem_of(scene.body, scene.fit, scene.mesh, view)
     assert hem is not None
-    made, seen = with_skirt(scene.body, Dressed(scene.mesh, scene.fit.views), [view], hem)
-    below = scene.mesh.vertices[:, 1] <= hem
+    made, seen = with_skirt(scene.body, scene.mesh.vertices, Dressed(scene.mesh, scene.fit.views), [view], hem)
+    below = scene.mesh.vertices[:, 1] <= hem - 0.06  # the legs' vertices next to the hem close the skirt
     assert np.array_equal(made.vertices[below], scene.mesh.vertices[below])
     assert np.allclose(made.weights.sum(axis=1), 1)
     moved = np.linalg.norm(made.vertices - scene.mesh.vertices, axis=1) > 1e-4
@@ -106,7 +108,25 @@ def test_a_skirt_is_closed_between_the_legs_and_follows_both() -> None:
     assert np.abs(there + scene.fit.views[0].pelvis - seen[0].vertices)[moved].max() < 1e-6
 
 
-def test_an_open_coat_hangs_as_one_surface_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("angle", [0.0, np.pi])
+def test_a_skirt_ends_in_one_edge_in_front_and_behind(angle: float) -> None:
+    scene = photographed("front")
+    hem = 0.55
+    made = with_skirt(
+        scene.body, scene.mesh.vertices, Dressed(scene.mesh, scene.fit.views), [view_with(scene.shots[0].mask)], hem
+    ).mesh
+    middle, size, focal = np.array([0, hem, 0]), 200, 100 / 0.05 * 60  # half a side is 5 cm
+    camera = look_at(middle + 60 * np.array([np.sin(angle), 0, np.cos(angle)]), middle)
+    lens = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
+    hit, where = visible_faces(made, made.vertices, Camera(camera, lens, size, size))
+    above, under = hit[: size // 2 - 4], hit[size // 2 + 4 :]
+    assert (above >= 0).mean() > 0.99 and (under < 0).mean() > 0.99
+    hit[size // 2 - 4 :] = -1
+    depth = (where[hit >= 0, :, None] * made.vertices[made.faces[hit[hit >= 0]]]).sum(axis=1)[:, 2]
+    assert np.ptp(depth) < 0.01
+
+
+def test_an_open_coat_hangs_as_one_surface(monkeypatch: pytest.MonkeyPatch) -> None:
     usual, low = made_up.albedo, 0.35  # heights of the person
 
     def coat(mesh: RiggedMesh) -> np.ndarray:
@@ -116,15 +136,22 @@ def test_an_open_coat_hangs_as_one_surface_behind(monkeypatch: pytest.MonkeyPatc
 
     mask, _ = skirted(0.6)
     plain = photographed("front")
-    assert coat_hem(plain.body, Dressed(plain.mesh, plain.fit.views), plain.shots[0].rgb, mask) is None
+    assert (
+        coat_hem(plain.body, plain.fit, Dressed(plain.mesh, plain.fit.views), plain.shots[0].rgb, view_with(mask))
+        is None
+    )
     monkeypatch.setattr(made_up, "albedo", coat)
     scene = photographed.__wrapped__("front")
     dressed, front = Dressed(scene.mesh, scene.fit.views), scene.shots[0]
-    hem = coat_hem(scene.body, dressed, front.rgb, mask)
+    hem = coat_hem(scene.body, scene.fit, dressed, front.rgb, view_with(mask))
     assert hem is not None and abs(hem - low * scene.mesh.vertices[:, 1].max()) < 0.03
-    assert coat_hem(scene.body, dressed, front.rgb, front.mask) is None  # the room shows between the legs: trousers
-    made = with_skirt(scene.body, dressed, [view_with(mask)], hem, open_front=True).mesh
+    assert (
+        coat_hem(scene.body, scene.fit, dressed, front.rgb, view_with(front.mask)) is None
+    )  # the room shows between the legs: trousers
+    made = with_skirt(scene.body, scene.mesh.vertices, dressed, [view_with(mask)], hem).mesh
     moved = np.linalg.norm(made.vertices - scene.mesh.vertices, axis=1) > 1e-4
-    assert moved.sum() > 50 and front.visibility[moved].max() < 0.5  # the legs stay in front
-    inner = moved & (np.abs(made.vertices[:, 0]) < 0.01) & (np.abs(made.vertices[:, 1] - hem - 0.1) < 0.04)
-    assert inner.any() and (made.vertices[inner, 2] < scene.mesh.vertices[inner, 2]).all()
+    assert moved.sum() > 50
+    for sense in (1, -1):  # in front, too, it does not follow each leg
+        inner = moved & (np.abs(made.vertices[:, 0]) < 0.01) & (np.abs(made.vertices[:, 1] - hem - 0.1) < 0.04)
+        inner &= sense * made.vertices[:, 2] > 0
+        assert inner.any() and (sense * (made.vertices - scene.mesh.vertices)[inner, 2] > 0).all()

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.body.open_face import with_expressions
+from glsplat.extras.authoring.geometry.posed import placed
 from glsplat.extras.authoring.optimize.colour_fit import _equations, fit_colours
+from glsplat.extras.authoring.optimize.rasterizer import Rasterizer
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.sample.scatter import scatter
+from glsplat.meshes import vertex_normals
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import SH_C0
 from tests.extras.authoring.faces.figures import person
 from tests.extras.authoring.paint.scene import photographed
@@ -35,6 +40,21 @@ def test_each_lip_s_splats_go_with_their_own_lip() -> None:
     upper, lower = colour[:, 2] - colour[:, 0] > 0.9, colour[:, 0] - colour[:, 2] > 0.9
     assert lower.sum() > 60 and upper.sum() > 3000
     assert moved[upper].max() < 0.006 and moved[lower].min() > 0.009
+
+
+def test_a_front_does_not_show_through_an_unseen_back() -> None:
+    mesh = person()
+    strewn = scatter(mesh, 10_000, np.random.default_rng(4))
+    front = strewn.points.directions(vertex_normals(mesh.vertices, mesh.faces))[:, 2] > 0
+    white = np.repeat(front[:, None].astype(float), 3, axis=1)  # on a black back
+    middle = np.append(mesh.skeleton.joints[JOINT_NAMES.index("spine3"), :2], 0)
+    camera = Camera(look_at(middle - [0, 0, 4], middle), pinhole(80, 80, 2.5), 80, 80)
+
+    def seen(contrast: np.ndarray | None) -> float:
+        avatar = strewn.avatar(mesh, white, 0 * front, np.random.default_rng(2), contrast)
+        return float(Rasterizer(len(avatar.splats)).draw(placed(avatar.splats), camera, True)[..., :3].mean())
+
+    assert seen(1.0 - front) < 0.5 * seen(None)
 
 
 def test_any_number_of_cores_gives_the_same_splats(monkeypatch: pytest.MonkeyPatch) -> None:

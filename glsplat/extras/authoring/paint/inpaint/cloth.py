@@ -59,6 +59,7 @@ _MAX_SAMPLES = 60_000
 _MIN_VISIBILITY, _MIN_FACE_VISIBILITY = 0.3, 0.7
 _MIRRORED_WEIGHT = 0.2  # of a sample from the other half of the body, but for legs, whose hems are level
 _SIDES, _UNSURE_WEIGHT = (0.3, 0.95), 0.25  # of a trunk's half width, where front and back are alike; weight elsewhere
+_FLANK = 0.75  # of a trunk's half width: lettering ends there, belts and bare bellies go on
 _SKIN_DISTANCE = 0.2  # from the face's colour: nearer colours are bare skin
 _FACE_QUANTILES = 0.5, 0.9  # of a face's brightness
 _MIN_STRAP_FRACTION = 0.1  # of a row on the shoulders that is cloth
@@ -192,9 +193,11 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         weight = visibility * ((mine == number) + mirrored * (mine == (-1 if other is None else other)))
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
-        these = rows_of(axis, (float(along.min()), float(along.max())), at, look[taken], weight[taken], _ROW_REACH_M)
-        these = None if these is None else without_mixed_rows(these)
-        if these is not None and number in _CLOTHED:
+        ends = float(along.min()), float(along.max())
+        these = rows_of(axis, ends, at, look[taken], weight[taken], _ROW_REACH_M)
+        if these is None:
+            return None
+        if number in _CLOTHED:
             below = (number != _TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
             row = ((at - these.first) / ROW_M).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
             x, y = where[taken, 0], where[taken, 1]
@@ -204,7 +207,10 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
                 least = NECKLINE_DISTANCE if number in _SLEEVES else _SKIN_DISTANCE
                 pattern &= np.linalg.norm(these.colour - skin, axis=1) > least
             these = replace(these, pattern=pattern)
-        return these
+        if number != _TRUNK:
+            return without_mixed_rows(these)
+        sides = rows_of(axis, ends, at, look[taken], weight[taken] * (share[taken] > _FLANK), _ROW_REACH_M)
+        return without_mixed_rows(these, None if sides is None else sides.colour)
 
     rows = map_threads(row_of, range(len(_REGIONS)))
     for left, right in _PAIRS:  # sleeves, and trouser legs, are of one cloth

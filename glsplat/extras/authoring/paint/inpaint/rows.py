@@ -26,7 +26,8 @@ SAME_COLOUR_DISTANCE = 0.15
 """Colours nearer to each other, in square roots of linear light, count as one."""
 
 _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
-_MIXED_TOLERANCE, _MIXED_GAP_ROWS = 0.139, 4  # of a row of several colours; to the rows it is compared with
+_MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
+_MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 
 
@@ -93,15 +94,23 @@ def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
     return mode, float(away[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
-def without_mixed_rows(rows: Rows) -> Rows:
-    """Return the rows without those of several colours between two that agree, as where a hem hangs aslant."""
-    count, colour = len(rows.colour), rows.colour.copy()
-    number = np.arange(count)
-    before = rows.colour[(number - _MIXED_GAP_ROWS).clip(0)]
-    after = rows.colour[(number + _MIXED_GAP_ROWS).clip(None, count - 1)]
-    odd = (rows.tolerance > _MIXED_TOLERANCE) & (np.linalg.norm(before - after, axis=1) < SAME_COLOUR_DISTANCE)
-    odd &= np.linalg.norm(rows.colour - before, axis=1) > SAME_COLOUR_DISTANCE
-    colour[odd] = (before[odd] + after[odd]) / 2
+def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
+    """Return the rows without those of several colours between two that agree: an aslant hem, or lettering.
+
+    Rows of a pattern stay, and those that have their colour at their ends, too, ``flanks`` [R, 3]: a bare belly.
+    """
+    colour, odd = rows.colour.copy(), (rows.tolerance > _MIXED_TOLERANCE) & ~rows.pattern
+    far = np.linalg.norm(colour[:, None] - colour, axis=2) > _MIXED_DISTANCE
+    for row in np.flatnonzero(odd).tolist():
+        first, last = max(row - _MIXED_ROWS, 0), row + _MIXED_ROWS
+        low, high = first + np.flatnonzero(far[row, first:row]), row + 1 + np.flatnonzero(far[row, row + 1 : last])
+        agree = np.argwhere(~far[np.ix_(low, high)] & (high - low[:, None] <= _MIXED_ROWS))
+        if len(agree):
+            before, after = low[agree[:, 0]], high[agree[:, 1]]
+            near = int(np.argmin(after - before))
+            mean, own = (rows.colour[before[near]] + rows.colour[after[near]]) / 2, rows.colour[row]
+            end = mean if flanks is None else flanks[row]
+            colour[row] = mean if np.linalg.norm(end - mean) < np.linalg.norm(end - own) else own
     return replace(rows, colour=colour, outer=colour)
 
 

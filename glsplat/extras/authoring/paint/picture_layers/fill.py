@@ -14,8 +14,6 @@ _REACH_FRACTIONS = (0.012, 0.025, 0.05, 0.1, 0.2)  # of the height; nearer colou
 _DOWN_TO_ACROSS = 0.12  # of the distances that colours are continued
 _GRAIN_FRACTION = 0.012  # of the height: finer detail is grain
 _GRAIN_RANGE = 0.7, 1.4
-_EDGE_DETAIL = 0.4, 0.8  # of a picture: texture, and an edge
-_COARSE = 4  # pixels of a picture to one of those around it
 
 
 def disc(radius: int) -> NDArray[np.uint8]:
@@ -69,23 +67,6 @@ def fill_hole(picture: Picture, known: Mask, hole: Mask, height: float) -> Pictu
     out = picture.copy()
     out[found] = np.clip(smooth[found] * _grain(picture, known, found, height), 0, 1)
     return out
-
-
-def weave_of(picture: Picture, detail: Picture, height: float) -> Picture:
-    """Return [H, W] the light of fine texture in ``picture`` over that around it; 1 near edges, folds and prints.
-
-    ``detail`` [H, W] is that of ``detail_of``; ``height`` is the person's in pixels.
-    """
-    full = detail.shape[1::-1]
-    size = max(1, full[0] // _COARSE), max(1, full[1] // _COARSE)
-    reach = max(_GRAIN_FRACTION * height / _COARSE, 0.5)
-    light = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / 3
-    around = cv2.GaussianBlur(cv2.resize(light, size, interpolation=cv2.INTER_AREA), (0, 0), reach)
-    square = np.ones((2 * round(3 * reach) + 1,) * 2, np.uint8)
-    near = cv2.dilate(cv2.resize(detail, size, interpolation=cv2.INTER_AREA), square)
-    around, near = (cv2.resize(each, full, interpolation=cv2.INTER_LINEAR) for each in (around, near))
-    plain = np.clip((_EDGE_DETAIL[1] - near) / (_EDGE_DETAIL[1] - _EDGE_DETAIL[0]), 0, 1)
-    return np.asarray(1 + plain * (np.clip((light + 0.01) / (around + 0.01), *_GRAIN_RANGE) - 1), np.float32)
 
 
 def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:

@@ -18,7 +18,6 @@ from glsplat.extras.authoring.paint.picture_layers.fill import (
     fill_hole,
     nearest_known,
     nearest_known_labels,
-    weave_of,
 )
 from glsplat.extras.authoring.paint.picture_layers.labels import labels_of
 from glsplat.extras.authoring.paint.picture_layers.patches import continue_cloth
@@ -174,12 +173,6 @@ class PictureLayers:
     def details(self) -> list[NDArray[np.float32]]:
         """[H, W] of each layer the detail, from 0, plain, to 1."""
         return map_threads(lambda layer: detail_of(layer.picture), self.layers)
-
-    @locked_cached_property
-    def weaves(self) -> list[NDArray[np.float32]]:
-        """[H, W] of each layer the light of its fine texture, about 1."""
-        pairs = list(zip(self.layers, self.details, strict=True))
-        return map_threads(lambda pair: weave_of(pair[0].picture, pair[1], self.height), pairs)
 
     @locked_cached_property
     def background(self) -> tuple[float, NDArray[np.float32]]:

@@ -10,7 +10,7 @@ import pytest
 from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, match_to_front
-from glsplat.extras.authoring.paint.inpaint.rows import Rows, in_one_tone
+from glsplat.extras.authoring.paint.inpaint.rows import Rows, in_one_tone, without_mixed_rows
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -119,6 +119,21 @@ def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:
     assert np.allclose(rows.colour[40:], colour[40:])
     assert (rows.tolerance >= np.abs(rows.colour - colour).max(axis=1)).all()  # what was its cloth still is
     assert in_one_tone([]) == []  # a neck that no picture shows
+
+
+def test_lettering_is_no_band_and_stripes_and_belts_are() -> None:
+    colour, tolerance = np.tile([0.45, 0.09, 0.09], (40, 1)), np.full(40, 0.08)
+    colour[15:21] = 0.3, 0.22, 0.23  # black and white letters on red
+    flat = np.zeros(40)
+
+    def cleaned(spread: float, flanks: np.ndarray | None = None) -> np.ndarray:
+        tolerance[15:21] = spread
+        return without_mixed_rows(Rows(1, 0.0, colour, tolerance, colour, flat, flat > 0), flanks).colour
+
+    assert np.abs(cleaned(0.14) - colour[0]).max() < 0.01
+    assert np.array_equal(cleaned(0.08), colour)  # of one colour: it goes round
+    assert np.array_equal(cleaned(0.14, colour), colour)  # a bare belly
+    assert np.abs(cleaned(0.14, np.tile(colour[0], (40, 1))) - colour[0]).max() < 0.01
 
 
 def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> None:

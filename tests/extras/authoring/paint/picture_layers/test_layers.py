@@ -11,9 +11,8 @@ import pytest
 
 from glsplat.extras.authoring.body.segments import arm_segments, layer_of, mirror_vertices
 from glsplat.extras.authoring.paint.painter import painter_of
-from glsplat.extras.authoring.paint.picture_layers.fill import fill_hole, weave_of
+from glsplat.extras.authoring.paint.picture_layers.fill import fill_hole
 from glsplat.extras.authoring.paint.picture_layers.labels import NOTHING, labels_of
-from glsplat.extras.authoring.paint.pixels import detail_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import even_points
 from tests.extras.authoring.paint.scene import photographed
@@ -93,15 +92,6 @@ def test_cloth_hidden_by_an_arm_is_continued_across() -> None:
     assert np.array_equal(filled[~hole], spoilt[~hole].astype(np.float32))
     middle = filled[50:150:20, 55:65].mean(axis=(1, 2)), stripes[50:150:20, 55:65].mean(axis=(1, 2))
     assert np.abs(middle[0] - middle[1]).max() < 0.1
-
-
-def test_weave_is_fine_texture_away_from_prints() -> None:
-    cloth = np.full((200, 200, 3), 0.3, np.float32)
-    cloth[::2] *= 0.9
-    cloth[80:110, 45:75] = (0.8, 0.05, 0.05)
-    weave = weave_of(cloth, detail_of(cloth), 200.0)
-    assert weave[20:60:2, 100].max() < 0.97 and weave[21:60:2, 100].min() > 1.03
-    assert np.allclose(weave[76:114, 41:79], 1, atol=0.05)
 
 
 @pytest.mark.check
