@@ -108,7 +108,7 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
-        foreign = np.maximum(foreign, self.hands.foreign(self.shots[0], points, first.linear / shade[:, None]))
+        foreign = np.maximum(foreign, points.at(self.hands.share[:, None])[:, 0])
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
@@ -152,7 +152,7 @@ class Painter:
             guess[some] += ((1 - trust) * (1 - mirror_share))[some, None] * (
                 self._sleeve_colours(points, some, shade) - guess[some]
             )
-        guess = self.hands.over(points, guess, shade)
+        guess = self.hands.over(points, guess)
         return guess, np.maximum(matched.detail * trust, other.detail * mirror_share)
 
     def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
