@@ -108,7 +108,6 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
-        foreign = np.maximum(foreign, points.at(self.hands.share[:, None])[:, 0])
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 

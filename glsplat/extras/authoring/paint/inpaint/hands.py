@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS, joint_weights
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.lamp import Lamp
-from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.skin_tone import face_colour, likeness, unlit
-from glsplat.extras.authoring.paint.view_sample import FittedPicture
+from glsplat.extras.authoring.paint.view_sample import FittedPicture, hand_shares
 from glsplat.meshes import MeshPart
 from glsplat.pictures import to_linear
 
@@ -23,7 +21,6 @@ F64 = NDArray[np.float64]
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40
 _MIN_SKIN_FRACTION = 0.5  # of a hand's visible vertices, for its tone
 _MAX_GLOVE_SKIN_FRACTION, _MAX_GLOVE_SPREAD = 0.15, 0.45  # of gloves: visible skin, and deviation of log brightness
-_WRIST = 0.5, 0.75  # skinning weights of the hand's joints: hands begin softly above the cut of the arm's rows
 _TEXTURE_RANGE = 0.4, 1.8  # of the texture over its median
 _HUE_FRACTION, _CONTRAST = 0.2, 1.7  # of the texture's own hue (red palms and knuckles), and exponent
 
@@ -44,7 +41,6 @@ class Hands:
 def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.uint8] | None = None) -> Hands:
     """Return the hands in the front ``shot``: in their own tone if it shows enough skin, else in the face's.
 
-    None of its pixels are used, because a fit that is some pixels off would show patches of other things.
     ``texture`` [H, W, 3] is the open body's skin in sRGB; None: plain skin. Gloves are taken for gloves only if both
     hands agree; one alone is a sleeve.
     """
@@ -56,15 +52,14 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
     share, colour = np.zeros(len(uv)), np.zeros((len(uv), 3))
     face = face_colour(body, shot, light)
     found = []
-    for side in ("left", "right"):
-        weight = joint_weights(body, side, *HANDS) * body.skin
-        hand = weight > 0.5
+    for part in hand_shares(body):
+        hand = part > 0
         detail = ((skin / np.median(skin[hand], axis=0)) ** _CONTRAST).clip(*_TEXTURE_RANGE)
         detail = detail.mean(axis=1, keepdims=True) * (1 - _HUE_FRACTION) + _HUE_FRACTION * detail
         seen = hand & (shot.visibility > _MIN_VISIBILITY)
         plain = unlit(shot, light, seen)
         like = np.zeros(0) if face is None or not len(plain) else likeness(plain / detail[seen], face[None])
-        found.append((weight, detail, seen, plain, like))
+        found.append((part, detail, seen, plain, like))
     gloves = all(
         len(like) > _MIN_VERTICES
         and like.mean() < _MAX_GLOVE_SKIN_FRACTION
@@ -76,7 +71,7 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
         for _, detail, seen, plain, like in found
         if len(like) > _MIN_VERTICES and like.mean() > _MIN_SKIN_FRACTION
     ]
-    for weight, detail, _, plain, _ in found:
+    for part, detail, _, plain, _ in found:
         if gloves or (face is None and len(plain) > _MIN_VERTICES):
             tone, detail = np.median(plain, axis=0), np.ones_like(detail)
         elif own:
@@ -85,7 +80,7 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
             tone = face
         else:
             continue
-        share += ramp(weight, *_WRIST)
-        half = body.vertices[:, 0] * body.vertices[weight > 0, 0].mean() > 0  # also beyond the wrist: colours are mixed
+        share += part
+        half = body.vertices[:, 0] * body.vertices[part > 0, 0].mean() > 0  # also beyond the wrist: colours are mixed
         colour[half] = (tone * detail)[half]
     return Hands(share, colour * np.median(light.shade(shot.normals[face_vertices(body)])))
