@@ -63,6 +63,7 @@ class FittedPicture:
 
     # [2, 24, 2] detected pixels of shoulders, elbows, wrists and hands; NaN where they were not detected
     bones: F64 | None = None
+    face: bool = True  # the network found it, so that the head's turn is known
 
     @locked_cached_property
     def picture_layers(self) -> PictureLayers:
@@ -132,7 +133,7 @@ class FittedPicture:
         A fit that is some pixels off would show other things there.
         """
         body, across = open_body(), mirror_vertices()
-        cheeks = face_vertices(body) & (body.vertices[:, 1] < eyeball(body, EYE_SIDES[0]).centre[1])
+        cheeks = self.face & face_vertices(body) & (body.vertices[:, 1] < eyeball(body, EYE_SIDES[0]).centre[1])
         away = (self.squareness[across] - self.squareness) * cheeks
         return np.maximum(ramp(away, *_FAR_CHEEK_COSINES) * self.visibility[across], hand_shares(body).sum(axis=0))
 

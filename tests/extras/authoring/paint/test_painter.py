@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -158,6 +160,7 @@ def test_hands_and_the_farther_cheek_of_a_turned_face_take_no_pixels() -> None:
     near, far = (cheeks & (side * scene.body.vertices[:, 0] > 0.05) for side in (1, -1))
     assert front[near | far].max() < 0.2
     assert not left[near].any() and left[far].mean() > 0.9
+    assert not replace(scene.shots[1], face=False).unused[far].any()  # the head's turn is a guess
     camera = scene.shots[0].camera(scene.mesh.skeleton.joints[0], 400)
     pixels = scene.shots[0].unused_pixels(camera)
     assert 0.5 < pixels.sum() / projected(scene, hands > 0.5, camera) < 1.5
