@@ -172,7 +172,8 @@ def _one(args: argparse.Namespace) -> int:
 
 def _guessed(meta: Mapping[str, Any]) -> str:
     unseen = meta.get("unseen")
-    return "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"
+    words = "" if unseen is None else f"; {unseen:.0%} of the surface is guessed"
+    return words + "".join(f"; {part}: {note}" for part, note in meta.get("templates", {}).items())
 
 
 def _options(args: argparse.Namespace, show: Progress) -> Options:

@@ -15,6 +15,7 @@ import apps.cli as cli
 from apps.args import open_scene
 from apps.avatar import photo as photo_module
 from apps.avatar import photo_folder
+from apps.avatar.photo import _guessed
 from apps.serve import command as serve
 from apps.serve.agreed import policy_of
 from glsplat.errors import CaptureError, FormatError, GlsplatError
@@ -159,6 +160,12 @@ NOTES = {
 @pytest.fixture
 def meshed(monkeypatch) -> None:
     monkeypatch.setitem(registry.OWN, "builtin", f"{STUBS}:Meshed")
+
+
+def test_the_line_names_the_templates() -> None:
+    templates = {"hair": "painted, none is found", "shoes": "low shoe, template shoes03"}
+    words = "; 43% of the surface is guessed; hair: painted, none is found; shoes: low shoe, template shoes03"
+    assert _guessed({"unseen": 0.43, "templates": templates}) == words
 
 
 def test_a_mesh_is_made(seen, meshed, front, tmp_path, capsys) -> None:

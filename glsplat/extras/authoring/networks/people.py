@@ -19,7 +19,7 @@ Degrees = TypeVar("Degrees", float, NDArray[np.float64])
 SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
 """Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
 
-_MIN_FACE_PROBABILITY = 0.9  # fronts have at least 0.98, backs at most 0.01
+_MIN_FACE_PROBABILITY = 0.5  # fronts have at least 0.8, backs at most 0.01
 _HEAD_FROM_FACE = (  # points of the face mesh whose means replace the head's LANDMARKS, in their order
     *((1,), (362,), (362, 263), (263,), (133,), (133, 33), (33,)),  # nose; left and right eye from its inner corner
     *((454,), (234,), (291,), (61,)),  # ears, mouth's corners

@@ -62,8 +62,8 @@ def _equations(avatar: Avatar, shot: FittedPicture) -> tuple[csr_array, F64]:
     weight = prints.alpha * prints.transmittance
     covered = np.bincount(prints.pixel, weight, minlength=height * width)
     small, mask = shot.resized(camera)
-    inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).ravel() > 0
-    used = inner & (covered > _MIN_COVERAGE)
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) & ~shot.unused_pixels(camera)
+    used = inner.ravel() & (covered > _MIN_COVERAGE)
     number = np.cumsum(used) - 1
     keep = used[prints.pixel]
     pixel = prints.pixel[keep]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _COLOUR_ROUNDS = 8  # where colours alone are fitted
 _PERSON_HEIGHT_PX = 1536  # in the resampled photographs
 _PHOTO_REPEATS = 5  # photographs in each pass over all pictures
+_UNUSED_TRUST = 0.01  # of pixels that are not painted; see ``FittedPicture.unused``
 _EDGE_PX = 4  # inside the outline, where colours are mixed with the background
 
 
@@ -68,6 +69,7 @@ def _picture(avatar: Avatar, shot: FittedPicture) -> TargetPicture:
     K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
     kernel = np.ones((2 * _EDGE_PX + 1,) * 2, np.uint8)
     trust = cv2.erode(mask[part].astype(np.float32), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    trust[shot.unused_pixels(camera)[part]] *= _UNUSED_TRUST
     target = np.full((*trust.shape, 4), 255, np.uint8)
     target[:, :, :3] = small[part]
     share = float(shot.view.pelvis[2]) / float(K[0, 0])

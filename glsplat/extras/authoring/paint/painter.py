@@ -113,7 +113,6 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
-        foreign = np.maximum(foreign, self.hands.foreign(self.shots[0], points, first.linear / shade[:, None]))
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
@@ -153,7 +152,7 @@ class Painter:
             guess[some] += ((1 - trust) * (1 - mirror_share))[some, None] * (
                 self._sleeve_colours(points, some, shade) - guess[some]
             )
-        guess = self.hands.over(points, guess, shade)
+        guess = self.hands.over(points, guess)
         contrast = ramp(np.abs(to_srgb(guess) - to_srgb(matched.linear)).max(axis=1), *_CONTRASTS)
         return guess, np.maximum(matched.detail * trust, other.detail * mirror_share), contrast
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.ramps import ramp
@@ -17,7 +18,8 @@ from glsplat.rotations import lengths
 F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY, _MIN_VERTICES = 0.6, 60
-_BRIGHT_QUANTILE = 0.4  # of a face's brightness: above beards, brows and lashes
+_CHEEKS_M = -0.04, -0.01  # heights above the eyes: a face between fringe and beard or mask
+_BRIGHT_QUANTILE = 0.4  # of the cheeks' brightness: above shadows and rims of glasses
 _HUES = 14.0, 9.0  # distances in CIELAB without L: surely other, and the same
 _DARK, _LIGHT = (0.2, 0.4), (2.2, 1.6)  # brightness over the tone's: surely other, and the same
 
@@ -45,10 +47,12 @@ def unlit(shot: FittedPicture, light: Lamp, some: NDArray[np.bool_]) -> F64:
 
 
 def face_colour(body: Body, shot: FittedPicture, light: Lamp) -> F64 | None:
-    """Return [3] the linear colour of the face's skin without ``light``; None where it is hardly visible."""
-    face = face_vertices(body) & (shot.visibility > _MIN_VISIBILITY)
-    if face.sum() < _MIN_VERTICES:
+    """Return [3] the linear colour of the cheeks' skin without ``light``; None where it is hardly visible."""
+    height = body.vertices[:, 1] - eyeball(body, EYE_SIDES[0]).centre[1]
+    cheeks = face_vertices(body) & (height > _CHEEKS_M[0]) & (height < _CHEEKS_M[1])
+    cheeks &= shot.visibility > _MIN_VISIBILITY
+    if cheeks.sum() < _MIN_VERTICES:
         return None
-    colours = unlit(shot, light, face)
+    colours = unlit(shot, light, cheeks)
     bright = colours.sum(axis=1)
     return np.asarray(np.median(colours[bright >= np.quantile(bright, _BRIGHT_QUANTILE)], axis=0))

@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.camera import Camera
+from glsplat.extras.authoring.body.open_body import Body, open_body
+from glsplat.extras.authoring.body.segments import HANDS, joint_weights, mirror_vertices
 from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.extras.authoring.fit.body_fit import FittedView
+from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
+from glsplat.extras.authoring.fit.offsets import face_vertices
+from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.picture_layers.layers import COARSE, PictureLayers
 from glsplat.extras.authoring.paint.pixels import bilinear
@@ -23,7 +28,14 @@ F64 = NDArray[np.float64]
 _DEPTH_TOLERANCE_M = 0.012  # behind the nearest surface
 _VISIBILITY_COSINES = 0.12, 0.42  # of surface to line of sight: invisible, fully visible
 _BACKFACE_COSINES = -0.3, -0.1  # the same for surface on the outline
+_FAR_CHEEK_COSINES = 0.1, 0.25  # less than its mirror image: full use of a face's pixels, and none
+_WRIST = 0.5, 0.75  # skinning weights of the hand's joints: hands begin softly above the cut of the arm's rows
 _MAX_COLOUR_REACH_FRACTION = 0.04  # of the height: colours extended farther fade out
+
+
+def hand_shares(body: Body) -> F64:
+    """Return [2, V] 0 on arms, 1 on the left and on the right hand."""
+    return np.stack([ramp(joint_weights(body, side, *HANDS) * body.skin, *_WRIST) for side in ("left", "right")])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +63,7 @@ class FittedPicture:
 
     # [2, 24, 2] detected pixels of shoulders, elbows, wrists and hands; NaN where they were not detected
     bones: F64 | None = None
+    face: bool = True  # the network found it, so that the head's turn is known
 
     @locked_cached_property
     def picture_layers(self) -> PictureLayers:
@@ -95,6 +108,12 @@ class FittedPicture:
         mask = cv2.resize(self.picture_layers.agreed.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA), np.uint8), mask == 255
 
+    def unused_pixels(self, camera: Camera) -> NDArray[np.bool_]:
+        """Return the mask [h, w] of ``unused`` surface at the size of ``camera``."""
+        faces = self.mesh.faces[(self.unused[self.mesh.faces] > 0.5).any(axis=1)]
+        scale = camera.width / self.mask.shape[1], camera.height / self.mask.shape[0]
+        return projected_mask(self.view.pixels * scale, faces, (camera.height, camera.width))
+
     @locked_cached_property
     def normals(self) -> F64:
         """[V, 3] in the camera's axes."""
@@ -106,6 +125,17 @@ class FittedPicture:
         pixels, layer = self.view.pixels, self.layer
         facing = self._facing(self.view.vertices, self.normals, pixels, layer, *_VISIBILITY_COSINES)
         return self.shows_layer(pixels, layer) * facing
+
+    @locked_cached_property
+    def unused(self) -> F64:
+        """[V] from 0 to 1: hands and the farther cheek of a turned face take no pixels.
+
+        A fit that is some pixels off would show other things there.
+        """
+        body, across = open_body(), mirror_vertices()
+        cheeks = self.face & face_vertices(body) & (body.vertices[:, 1] < eyeball(body, EYE_SIDES[0]).centre[1])
+        away = (self.squareness[across] - self.squareness) * cheeks
+        return np.maximum(ramp(away, *_FAR_CHEEK_COSINES) * self.visibility[across], hand_shares(body).sum(axis=0))
 
     @locked_cached_property
     def squareness(self) -> F64:
@@ -127,7 +157,7 @@ class FittedPicture:
         pixels = self.project(where)
         layer = self.layers_at(points)
         visibility = self._facing(where, points.directions(self.normals), pixels, layer, *_VISIBILITY_COSINES)
-        visibility *= self.shows_layer(pixels, layer)
+        visibility *= self.shows_layer(pixels, layer) * (1 - points.at(self.unused[:, None])[:, 0])
         return ViewSample(self.sample(pixels, layer), visibility, self.detail(pixels, layer))
 
     def sample(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:

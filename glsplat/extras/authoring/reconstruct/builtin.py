@@ -52,6 +52,7 @@ SIDES = ("front", "back", "left", "right")
 _MIN_SPLATS_WITH_FACE = 8_000  # below, an avatar has none to spare for teeth and lashes
 _MIN_SPLATS_WITH_HAIR = 3 * HAIR_SPLATS
 _MIN_ARM_VISIBILITY = 0.4
+_MIN_FACE_PRESENCE = 0.5
 _MIN_HAND_PRESENCE, _MAX_WRIST_GAP = 0.8, 0.4  # the gap between the wrists of hand and arm, in forearms
 _LIGHT_POINTS = 20_000  # for the light and the unseen fraction of a mesh
 MIN_TRUST = 0.1
@@ -71,11 +72,13 @@ class Builtin:
         """Return the avatar with the fit and the mesh it was made from."""
         body, fit, bald, looks = _fitted(pictures, masks, options)
         loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
-        hair = _template_hair(body, fit, bald[0]) if options.splats >= _MIN_SPLATS_WITH_HAIR else None
+        hair, worn = None, f"painted, a template needs {_MIN_SPLATS_WITH_HAIR} splats"
+        if options.splats >= _MIN_SPLATS_WITH_HAIR:
+            hair, worn = _template_hair(body, fit, bald[0])
         shots = with_hair(body, bald) if hair is None else bald
         mesh = shots[0].mesh
         shod, footwear = _shod(body, fit, shots[0])
-        whole, notes = shod or mesh, {"shoes": footwear}
+        whole, notes = shod or mesh, {"hair": worn, "shoes": footwear}
         rng = np.random.default_rng(options.seed)
         face = run_in_background(lambda: moving_face(whole)) if options.splats >= _MIN_SPLATS_WITH_FACE else None
         covered, elsewhere = (None, 0) if hair is None else (covered_by_hair(hair), HAIR_SPLATS)
@@ -95,7 +98,6 @@ class Builtin:
         )
         if hair is not None:
             avatar = with_template_hair(avatar, hair, painter.light, rng)
-            notes["hair"] = f"{hair.name}, agreement {hair.agreement:.2f}"
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)
@@ -124,12 +126,16 @@ class Builtin:
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
 
-def _template_hair(body: Body, fit: BodyFit, front: FittedPicture) -> FittedHair | None:
-    """Return the hair of the ``front`` picture as a template; None where the painted head is the safer guess."""
+def _template_hair(body: Body, fit: BodyFit, front: FittedPicture) -> tuple[FittedHair | None, str]:
+    """Return the hair of the ``front`` picture as a template, None where the painted head is safer, and a note."""
     head = head_view(body, fit, front)
     seen = seen_hair(head)
     hair = None if seen is None else fit_hair(head, seen, tuple(HAIR))
-    return hair if hair is not None and hair.agreement >= MIN_AGREEMENT else None
+    if hair is None:
+        return None, "painted, " + ("none is found" if seen is None else "short, below a hat")
+    if hair.agreement < MIN_AGREEMENT:
+        return None, f"painted, {hair.name} agrees by {hair.agreement:.2f}, not {MIN_AGREEMENT:g}"
+    return hair, f"template {hair.name}, agreement {hair.agreement:.2f}"
 
 
 class _Fitted(NamedTuple):
@@ -156,7 +162,14 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     mesh, seen = dress(body, fit, views, pictures["front"].rgb)
     shots = tuple(
         FittedPicture(
-            pictures[side].rgb, masks[side], view.focal, fitted, mesh, arm_segments(body), _arms(people[side])
+            pictures[side].rgb,
+            masks[side],
+            view.focal,
+            fitted,
+            mesh,
+            arm_segments(body),
+            _arms(people[side]),
+            people[side].face.presence > _MIN_FACE_PRESENCE,
         )
         for side, view, fitted in zip(sides, views, seen, strict=True)
     )
@@ -170,10 +183,10 @@ def _shod(body: Body, fit: BodyFit, shot: FittedPicture) -> tuple[RiggedMesh | N
     """Return the dressed body with shoes, or None if its feet stay, and a note on what they wear."""
     footwear = footwear_of(body, shot)
     if footwear.template is None:
-        return None, f"{footwear.kind}: feet as fitted"
+        return None, f"{footwear.kind}, feet as fitted"
     floor = fit.joints[0] - shot.mesh.skeleton.joints[0]
     bare = body.shaped(fit.betas)[0] - floor
-    note = f"{footwear.kind}: template {footwear.template}"
+    note = f"{footwear.kind}, template {footwear.template}"
     return with_shoes(body, bare, shot.mesh, template(footwear.template)), note
 
 

@@ -52,7 +52,7 @@ class FittedHair:
     """A template fitted to the hair of the front picture."""
 
     name: str
-    agreement: float  # share of the seen hair that it covers, less what is carved away and how much it was stretched
+    agreement: float  # share of the seen hair that it covers, less what is carved away
     long: bool
     head: HeadView
     seen: SeenHair
@@ -101,8 +101,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     """Return the template ``name`` with the outline of the seen hair, and how well it agrees."""
     body, own = head.body, template(name)
     where = _outside(head, _carried(own.vertices, body.vertices[head.skull], head.bare[head.skull]))
-    where, change = _with_outline(head, seen, where)
-    where = _outside(head, where)
+    where = _outside(head, _with_outline(head, seen, where))
     joints, weights = _binding(head, where)
     (part,) = own.parts
     reached = head.plane_of(where)[:, 1] > _hair_end(seen) - _MAX_LOCK_M
@@ -127,9 +126,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     if seen.hat is not None:
         before &= head.plane_of(points)[:, 1] < seen.hat
     wasted = 1 - float((stays & before).sum()) / max(int(before.sum()), 1)
-    agreement = (
-        share - (_LONG_WASTE_WEIGHT if long else _WASTE_WEIGHT) * wasted - 0.5 * change + _PREFERENCE.get(name, 0.0)
-    )
+    agreement = share - (_LONG_WASTE_WEIGHT if long else _WASTE_WEIGHT) * wasted + _PREFERENCE.get(name, 0.0)
     return FittedHair(name, round(agreement, 3), long, head, seen, mesh)
 
 
@@ -209,8 +206,8 @@ def _outside(head: HeadView, points: F64) -> F64:
     return out
 
 
-def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> tuple[F64, float]:
-    """Return vertices as wide as the seen hair at each height, and the mean stretch of their widths.
+def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> F64:
+    """Return vertices as wide as the seen hair at each height.
 
     Above the eyes, the outline is stretched as a curve about them. The hair's depth follows its width; hair that
     hangs keeps it.
@@ -244,7 +241,7 @@ def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> tuple[F64, floa
     deep = 1 + (1 - hangs) * (wide.clip(0.85, 1.3) - 1)
     wide = wide + hangs * (wide.clip(0.85, 1.2) - wide)
     centre = np.array([0.0, sizes.eyes_rest, head.middle[2]])
-    return centre + (where - centre) * np.stack([wide, tall, deep], axis=1), float(np.abs(scales - 1).mean())
+    return np.asarray(centre + (where - centre) * np.stack([wide, tall, deep], axis=1))
 
 
 def _row_ends(flat: F64 | NDArray[np.float32], rows: F64, low: float) -> F64:

@@ -19,10 +19,11 @@ Bools = NDArray[np.bool_]
 
 _METRIC = np.array([0.6, 1.0, 1.0], np.float32)  # of CIELAB: light changes lightness more than hue
 _SHADES = (0.35, 0.5, 0.7, 1.0)  # of one colour, in linear light, from above to below the face
-_MIN_UNLIKE_SKIN = 13.0  # of a crown with hair, in CIELAB; below it the head is bald
+_MIN_UNLIKE_SKIN = 13.0  # of a crown with hair, in CIELAB; below it the outline decides
+_MIN_RIM_FRACTION = 0.15  # of the bare head's area in the picture: hair beside it that is like skin
 _MIN_WORN = 18.0  # of hair beside the face
 _MIN_HAT = 20.0  # between a hat and the hair below it
-_MAX_LIGHTER = 40.0  # of hair below a hat than the face, in lightness: more is a hand or the room beside a dark mask
+_MAX_LIGHTER = 40.0  # of hair beside the face than this, in lightness: more is a hand or the room beside a dark mask
 _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
@@ -46,7 +47,8 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     box = _box(head)
     rgb, mask = shot.rgb[box], shot.mask[box]
     rows, columns = np.mgrid[box]
-    where = head.plane(np.stack([columns, rows], axis=-1) + 0.5)
+    pixels = np.stack([columns, rows], axis=-1) + 0.5
+    where = head.plane(pixels)
     aside, up = np.abs(where[..., 0]), where[..., 1]
     look = cv2.cvtColor(rgb.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
     tall = sizes.top - sizes.chin
@@ -54,6 +56,12 @@ def seen_hair(head: HeadView) -> SeenHair | None:
 
     def away(colour: F64) -> NDArray[np.float32]:
         return np.linalg.norm((look - colour.astype(np.float32)) * _METRIC, axis=2)
+
+    def seen(found: Bools, hat: float | None = None) -> SeenHair:
+        out = np.zeros(shot.mask.shape, bool)
+        out[box] = found
+        plane = where[found]
+        return SeenHair(out, plane[:: max(1, len(plane) // 20_000)], hat)
 
     face = _vertex_pixels(head, face_vertices(head.body), box)
     skin = np.median(look[face], axis=0)
@@ -63,20 +71,21 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     flanks = beside & (away(skin) > 16)
     flank = np.median(look[flanks], axis=0) if flanks.sum() > 30 else crown
     worn = flanks.sum() > 0.15 * max(beside.sum(), 1) and _apart(flank, skin) > _MIN_WORN
-    if _apart(crown, skin) < _MIN_UNLIKE_SKIN and not worn:
-        return None
+    worn &= flank[0] - skin[0] < _MAX_LIGHTER
     # by a hat, unless the crown is the same hair in other light
     covered = worn and min(_apart(crown, lit) for lit in _shaded(flank, (*_SHADES, 1.4, 2.0, 2.8))) > _MIN_HAT
-    if covered and flank[0] - skin[0] > _MAX_LIGHTER:
-        return None
     hair = flank if covered else crown
     like = np.min([away(shade) for shade in _shaded(hair, _SHADES)], axis=0)
+    if not worn and _apart(crown, skin) < _MIN_UNLIKE_SKIN:
+        bare = np.isfinite(head.body_z(pixels.reshape(-1, 2))).reshape(mask.shape)
+        rim = near & (up > sizes.chin) & ~bare & (like < _SURE_LIKE)
+        return seen(rim) if rim.sum() > _MIN_RIM_FRACTION * (bare & (up > sizes.chin)).sum() else None
     other = np.min([away(shade) for shade in _shaded(skin, (*_SHADES, 1.3))], axis=0)
     main = _cloths(head, look, box)
     cloths = [cloth for cloth, _ in main if _apart(cloth, hair) > _SAME_AS_CLOTH]
     like_hair = sum(share for cloth, share in main if _apart(cloth, hair) <= _SAME_AS_CLOTH)
     below = up < sizes.chin + 0.01
-    never = ~near | ((aside < 0.5 * sizes.half_width) & (up < sizes.eyes + 0.02) & (up > sizes.chin))
+    never = ~near | ((aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02) & (up > sizes.chin))
     core = np.zeros(mask.shape, np.uint8)
     core[face] = 1
     core = cv2.morphologyEx(core, cv2.MORPH_CLOSE, np.ones((max(3, int(0.012 * head.scale)),) * 2, np.uint8))
@@ -104,10 +113,7 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     if covered:
         cap = near & (up > sizes.eyes) & ~found & (away(crown) < away(hair)) & (aside > 0.7 * sizes.half_width)
         hat = float(np.quantile(up[cap], 0.1)) if cap.any() else sizes.eyes + 0.05
-    out = np.zeros(shot.mask.shape, bool)
-    out[box] = found
-    plane = where[found]
-    return SeenHair(out, plane[:: max(1, len(plane) // 20_000)], hat)
+    return seen(found, hat)
 
 
 def _box(head: HeadView) -> tuple[slice, slice]:

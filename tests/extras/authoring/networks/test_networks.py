@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from glsplat.errors import GlsplatError
+from glsplat.extras.authoring.geometry.raster import mesh_picture
 from glsplat.extras.authoring.networks import face, hand
 from glsplat.extras.authoring.networks.network import Crop, OnnxNetwork, sigmoid
 from glsplat.extras.authoring.networks.people import find_person
 from glsplat.extras.authoring.networks.person import DetectedBody
+from glsplat.skinning.pose import Pose
 from tests.extras.authoring.captures import capture, needs_networks
 
 LIMBS = [
@@ -87,6 +89,17 @@ def test_landmarks_lie_where_the_joints_are() -> None:
     assert np.linalg.norm(eye.iris[0] - true.joint("left_eye_smplhf")) < 4
     again = find_person(true.picture)
     assert again is not None and np.array_equal(again.body.points, found.body.points)
+
+
+@pytest.mark.shared
+def test_a_fringe_over_an_eye_is_a_front_on_a_plain_wall_too() -> None:
+    needs_networks()
+    true = capture("p03")
+    drawn = mesh_picture(true.mesh, true.mesh.posed(Pose(true.pose, true.trans)), true.camera, 1)
+    rgba = np.rint(255 * drawn).astype(np.uint8)
+    picture = np.where(rgba[..., 3:] > 127, rgba[..., :3], 205).astype(np.uint8)
+    found = find_person(picture)
+    assert found is not None and abs(found.turn) < np.radians(20)  # farther would be noted
 
 
 @pytest.mark.parametrize(

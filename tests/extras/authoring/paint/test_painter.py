@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from glsplat.camera import Camera
+from glsplat.extras.authoring.fit.offsets import face_vertices
+from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import match_to_front
 from glsplat.extras.authoring.paint.lamp import find_light
 from glsplat.extras.authoring.paint.painter import painter_of
+from glsplat.extras.authoring.paint.view_sample import hand_shares
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_srgb
+from glsplat.skinning.pose import Pose
 from tests.extras.authoring.paint.scene import Scene, albedo, photographed
 
 
@@ -142,3 +149,24 @@ def test_no_face_on_the_back_of_the_head() -> None:
     assert behind.sum() > 20
     assert greenness[painted.visibility > 0.9].max() > 0.8
     assert greenness[behind].max() < 0.1
+
+
+def test_hands_and_the_farther_cheek_of_a_turned_face_take_no_pixels() -> None:
+    scene = photographed("front", "left")
+    front, left = (shot.unused for shot in scene.shots)
+    hands = hand_shares(scene.body).sum(axis=0)
+    assert hands.max() == 1 and np.array_equal(front[hands > 0], hands[hands > 0])
+    cheeks = face_vertices(scene.body) & (scene.body.vertices[:, 1] < 0.87)
+    near, far = (cheeks & (side * scene.body.vertices[:, 0] > 0.05) for side in (1, -1))
+    assert front[near | far].max() < 0.2
+    assert not left[near].any() and left[far].mean() > 0.9
+    assert not replace(scene.shots[1], face=False).unused[far].any()  # the head's turn is a guess
+    camera = scene.shots[0].camera(scene.mesh.skeleton.joints[0], 400)
+    pixels = scene.shots[0].unused_pixels(camera)
+    assert 0.5 < pixels.sum() / projected(scene, hands > 0.5, camera) < 1.5
+
+
+def projected(scene: Scene, some: np.ndarray, camera: Camera) -> int:
+    """Return the number of pixels of ``some`` vertices' faces."""
+    ids = visible_faces(scene.mesh, scene.mesh.posed(Pose(scene.shots[0].view.rotations)), camera)[0]
+    return int(some[scene.mesh.faces[ids[ids >= 0]]].all(axis=1).sum())

@@ -8,6 +8,7 @@ from functools import cache
 import cv2
 import numpy as np
 
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
@@ -64,6 +65,23 @@ def test_hair_is_found_by_its_colour_and_a_bald_head_has_none() -> None:
     assert seen_hair(pictured(None)[0]) is None
 
 
+def test_hair_like_skin_is_what_stands_out_from_the_skull() -> None:
+    head, drawn = pictured("bob01")
+    rgb, up = head.shot.rgb.copy(), head.plane(np.stack(np.nonzero(drawn)[::-1], axis=1) + 0.5)[:, 1]
+    rgb[drawn] = np.median(rgb[face_pixels(head)], axis=0)
+    seen = seen_hair(replace(head, shot=replace(head.shot, rgb=rgb)))
+    assert seen is not None and seen.hat is None and seen.mask[~drawn].sum() < 0.1 * seen.mask.sum()
+    assert seen.mask.sum() > 0.3 * (up > head.sizes.chin).sum()
+    hair = fit_hair(head, seen, tuple(HAIR))
+    assert hair is not None and hair.agreement > MIN_AGREEMENT
+
+
+def face_pixels(head: HeadView) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of the clearly visible face."""
+    column, row = head.shot.view.pixels[face_vertices(head.body) & (head.shot.visibility > 0.5)].astype(int).T
+    return row, column
+
+
 def test_template_is_chosen_by_length_and_agrees() -> None:
     short, long = fitted("short02")[1], fitted("long01")[1]
     assert short.name.startswith("short") and not short.long and long.name == "long01" and long.long
@@ -72,6 +90,19 @@ def test_template_is_chosen_by_length_and_agrees() -> None:
     beside = replace(seen, mask=np.roll(seen.mask, 80, axis=1))  # hair that is not on the head agrees with nothing
     wrong = fit_hair(head, beside, tuple(HAIR))
     assert wrong is not None and wrong.agreement < short.agreement - 0.3
+
+
+def test_hair_half_as_wide_again_agrees_too() -> None:
+    (head, _), (seen, hair) = pictured("bob01"), fitted("bob01")
+    middle = float(head.shot.project(head.camera(head.middle[None]))[0, 0])
+    mask = seen.mask.astype(np.uint8)
+    wide = cv2.warpAffine(mask, np.array([[1.5, 0, -0.5 * middle], [0, 1, 0]]), mask.shape[::-1]) > 0
+    other = fit_hair(
+        replace(head, shot=replace(head.shot, mask=head.shot.mask | wide)),
+        SeenHair(wide, seen.plane * (1.5, 1), None),
+        tuple(HAIR),
+    )
+    assert other is not None and other.name.startswith("bob") and other.agreement > 0.6 < hair.agreement
 
 
 def test_long_hair_follows_the_head_above_and_the_back_below() -> None:
