@@ -38,7 +38,7 @@ COLOUR_DIGITS = 6
 # faces and chins have no counterpart at the back
 _UNMATCHED = ("neck", *HEAD)
 _GUESSED_DETAIL_FACTOR = 0.6  # guessed detail gets fewer splats than visible detail
-_CONTRASTS = 0.1, 0.3  # of sRGB, between a guess and the front: too little to show through, surely visible
+_CONTRASTS = 0.25, 0.5  # of sRGB, between a guess and the front: too little to show through, surely visible
 _BLOCK_POINTS = 1 << 15  # painted together by one core
 _MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
 _UNSEEN_CLOTH_DECAY = 3e-4  # pull of unseen cloth towards the colour of its row
