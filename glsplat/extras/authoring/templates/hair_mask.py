@@ -85,7 +85,7 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     cloths = [cloth for cloth, _ in main if _apart(cloth, hair) > _SAME_AS_CLOTH]
     like_hair = sum(share for cloth, share in main if _apart(cloth, hair) <= _SAME_AS_CLOTH)
     below = up < sizes.chin + 0.01
-    never = ~near | ((aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02) & (up > sizes.chin))
+    never = ~near | ((aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02))  # face, throat and collar
     core = np.zeros(mask.shape, np.uint8)
     core[face] = 1
     core = cv2.morphologyEx(core, cv2.MORPH_CLOSE, np.ones((max(3, int(0.012 * head.scale)),) * 2, np.uint8))

@@ -92,6 +92,16 @@ def test_template_is_chosen_by_length_and_agrees() -> None:
     assert wrong is not None and wrong.agreement < short.agreement - 0.3
 
 
+def test_a_collar_of_the_hairs_colour_is_no_hair() -> None:
+    head, _ = pictured("long01")
+    rgb = head.shot.rgb.copy()
+    where = head.plane(np.stack(np.mgrid[: rgb.shape[0], : rgb.shape[1]][::-1], axis=-1) + 0.5)
+    aside, below = np.abs(where[..., 0]), head.sizes.chin - where[..., 1]
+    rgb[head.shot.mask & (aside < 0.12) & (below > -0.01) & (below < 0.1)] = DARK
+    seen = seen_hair(replace(head, shot=replace(head.shot, rgb=rgb)))
+    assert seen is not None and not (seen.mask & (aside < 0.045) & (below > 0)).any()
+
+
 def test_hair_half_as_wide_again_agrees_too() -> None:
     (head, _), (seen, hair) = pictured("bob01"), fitted("bob01")
     middle = float(head.shot.project(head.camera(head.middle[None]))[0, 0])

@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40
 _MIN_SKIN_FRACTION = 0.5  # of a hand's visible vertices, for its tone
-_MAX_GLOVE_SKIN_FRACTION, _MAX_GLOVE_SPREAD = 0.15, 0.45  # of gloves: visible skin, and deviation of log brightness
+_MAX_SKIN_FRACTION = 0.15  # of the vertices of gloves, or of hands below a painted face
 _TEXTURE_RANGE = 0.4, 1.8  # of the texture over its median
 _HUE_FRACTION, _CONTRAST = 0.2, 1.7  # of the texture's own hue (red palms and knuckles), and exponent
 
@@ -41,8 +41,8 @@ class Hands:
 def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.uint8] | None = None) -> Hands:
     """Return the hands in the front ``shot``: in their own tone if it shows enough skin, else in the face's.
 
-    ``texture`` [H, W, 3] is the open body's skin in sRGB; None: plain skin. Gloves are taken for gloves only if both
-    hands agree; one alone is a sleeve.
+    ``texture`` [H, W, 3] is the open body's skin in sRGB; None: plain skin. Hands unlike the face have their own
+    colour, as gloves do, only if both agree; one alone is a sleeve.
     """
     uv = np.zeros((len(body.vertices), 2))
     uv[body.faces.ravel()] = body.uv.reshape(-1, 2)
@@ -60,26 +60,18 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
         plain = unlit(shot, light, seen)
         like = np.zeros(0) if face is None or not len(plain) else likeness(plain / detail[seen], face[None])
         found.append((part, detail, seen, plain, like))
-    gloves = all(
-        len(like) > _MIN_VERTICES
-        and like.mean() < _MAX_GLOVE_SKIN_FRACTION
-        and np.log(plain + 0.01).std(axis=0).mean() < _MAX_GLOVE_SPREAD
-        for _, _, _, plain, like in found
-    )
-    own = [
+    bare = [
         np.median((plain / detail[seen])[like > 0.5], axis=0)
         for _, detail, seen, plain, like in found
         if len(like) > _MIN_VERTICES and like.mean() > _MIN_SKIN_FRACTION
     ]
-    for part, detail, _, plain, _ in found:
-        if gloves or (face is None and len(plain) > _MIN_VERTICES):
-            tone, detail = np.median(plain, axis=0), np.ones_like(detail)
-        elif own:
-            tone = np.mean(own, axis=0)
-        elif face is not None:
-            tone = face
-        else:
-            continue
+    worn = [np.median(plain, axis=0) for *_, plain, _ in found if len(plain) > _MIN_VERTICES]
+    alike = len(worn) == 2 and likeness(worn[0][None], worn[1][None])[0] > 0.5
+    alike &= sum(like.sum() for *_, like in found) < _MAX_SKIN_FRACTION * sum(len(like) for *_, like in found)
+    tone = np.mean(bare, axis=0) if bare else np.mean(worn, axis=0) if alike else face
+    if tone is None:
+        return Hands(share, colour)
+    for part, detail, _, _, _ in found:
         share += part
         half = body.vertices[:, 0] * body.vertices[part > 0, 0].mean() > 0  # also beyond the wrist: colours are mixed
         colour[half] = (tone * detail)[half]
