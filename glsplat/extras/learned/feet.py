@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, hypot, sqrt
+from math import exp, hypot, inf, sqrt
 
 from glsplat.extras.learned.hints import FootHint
 from glsplat.extras.learned.velocity import Velocity
@@ -31,6 +31,7 @@ LIFT_SHARE, DROP_SHARE = 0.5, 0.75  # ... this part of its recent range: an unsu
 RANGE_SMOOTHING_S = 0.8  # of that range
 GOAL_SPEED, GOAL_FAR_M = 0.35, 0.07  # m/s or metres of a goal, before a foot is lifted for it
 MAX_PLANTED_ERROR_M, MAX_PLANTED_TURN_RAD = 0.16, 0.6  # from a planted foot to its goal
+TURNED_RAD, SETTLED_S, SETTLING_S = 0.3, 0.6, 4.0  # from 0.6 s after a turn, for 4 s, half of that is too much
 SWING_S, SWING_UP_S = 0.15, 0.09  # in which a lifted foot follows its goal, and its height
 STRAINED_UP_S = 0.05  # likewise, upwards where its leg does not reach
 MAX_SURGE_M = 0.15  # that a foot rises at once; in a jump it hangs
@@ -73,6 +74,7 @@ class Feet(TwoLegs):
         self._catch_up: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
         self._knees: list[Vec | None] = [None, None]  # from the legs' middles, in the pelvis' heading
         self._calm_s = [0.0, 0.0]  # for which each goal has been almost still
+        self._turned_to, self._turned_s = 0.0, inf  # the heading after the last turn, and the time since
         self._since_s = [1.0, 1.0]  # since each foot was lifted or set down
         self._min_stance, self._max_stance = [0.0, 0.0], [1.0, 1.0]  # each foot's recent range
 
@@ -90,7 +92,7 @@ class Feet(TwoLegs):
         """Return the left and the right leg."""
         hips = self.hips(pelvis_at, pelvis)
         if not self.started:
-            self.started = True
+            self.started, self._turned_to = True, yaw
             for foot, hint in zip(self.feet, hints, strict=True):
                 x, y, z = hint.ball
                 foot.plant((x, self.sole, z), hint.yaw)
@@ -101,6 +103,7 @@ class Feet(TwoLegs):
         self._follow(goals, knees, dt)
         self._update_clearance(hips)
         self._update_catch_up(hints, dt)
+        settles = self._settles(yaw, dt) and rests
         limbs = []
         for foot, hint, hip, leg in zip(self.feet, hints, hips, self.legs, strict=True):
             tracked = self.tracked[foot.index].solve(foot, hip, pelvis, yaw)
@@ -111,7 +114,7 @@ class Feet(TwoLegs):
             lift, drop = self._thresholds(foot.index, hint.stance, dt)
             slow = hypot(hint.speed[0], hint.speed[2]) * hint.confidence < CALM_SPEED
             self._calm_s[foot.index] = self._calm_s[foot.index] + dt if slow else 0.0
-            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift, rests):
+            if foot.planted and self._leaves(foot, hint, leg, hip, pelvis, lift, rests, settles):
                 foot.planted, foot.left = False, 0.0
                 self._since_s[foot.index] = self._calm_s[foot.index] = 0.0
             if foot.planted:
@@ -138,6 +141,13 @@ class Feet(TwoLegs):
         )
         self._catch_up = (vx / max(pace, 1e-6) * metres, 0.0, vz / max(pace, 1e-6) * metres)
 
+    def _settles(self, yaw: float, dt: float) -> bool:
+        """Return whether feet that stand badly are corrected now: a while after a turn on the spot."""
+        self._turned_s += dt
+        if abs(wrap(yaw - self._turned_to)) > TURNED_RAD:
+            self._turned_to, self._turned_s = yaw, 0.0
+        return SETTLED_S < self._turned_s < SETTLED_S + SETTLING_S
+
     def _thresholds(self, side: int, stance: float, dt: float) -> tuple[float, float]:
         """Return the stance below which a foot is lifted, and the one above which it is set down."""
         k = 1 - exp(-dt / RANGE_SMOOTHING_S)
@@ -147,7 +157,9 @@ class Feet(TwoLegs):
         lift, drop = least + LIFT_SHARE * (most - least), least + DROP_SHARE * (most - least)
         return min(LIFT_BELOW, lift), min(DROP_ABOVE, drop)
 
-    def _leaves(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float, rests: bool) -> bool:
+    def _leaves(
+        self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, pelvis: Quat, lift: float, rests: bool, settles: bool
+    ) -> bool:
         """Return whether a planted foot should be lifted."""
         patient = self._since_s[foot.index] > STRAIN_PATIENCE_S
         if foot.strained and patient and hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > MIN_DRAG_M:
@@ -157,17 +169,16 @@ class Feet(TwoLegs):
         astride = hypot(ahead[0] - foot.x.at, ahead[2] - foot.z.at) > ASTRIDE * leg.length
         if strained and patient and astride:
             return True
-        if self._since_s[foot.index] < MIN_STANCE_S or (rests and not strained):
+        if self._since_s[foot.index] < MIN_STANCE_S or (rests and not strained and not settles):
             return False
         away = hypot(hint.ball[0] - foot.x.at, hint.ball[2] - foot.z.at) / self.size
         moves = hypot(hint.speed[0], hint.speed[2]) / self.size
-        if hint.stance < lift and (away > GOAL_FAR_M or moves > GOAL_SPEED):
+        if not settles and hint.stance < lift and (away > GOAL_FAR_M or moves > GOAL_SPEED):
             return True
         turned = abs(wrap(hint.yaw - foot.yaw))
         other = self.feet[1 - foot.index]
-        if (away > MAX_PLANTED_ERROR_M or turned > MAX_PLANTED_TURN_RAD) and (
-            other.planted or away > 2 * MAX_PLANTED_ERROR_M
-        ):
+        need = max(away / MAX_PLANTED_ERROR_M, turned / MAX_PLANTED_TURN_RAD)
+        if need > (0.5 if settles else 1.0) and (other.planted or away > 2 * MAX_PLANTED_ERROR_M):
             return True
         return strained and (away > USEFUL_STEP_M or turned > USEFUL_TURN_RAD)
 

@@ -18,7 +18,7 @@ from glsplat.extras.motions.derive import Disturbance, derive, disturb, truth_fr
 from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker
-from glsplat.tracking.solve.body import FEET, HEAD, WRISTS, Body
+from glsplat.tracking.solve.body import FEET, HEAD, PELVIS, WRISTS, Body
 from glsplat.tracking.solvers import solver_of
 from tests.tracking.moves import DT, Stage, Track, hand_turn, head_turn, seconds
 
@@ -61,6 +61,23 @@ def test_noise_at_rest_does_not_shake_the_body(skeleton: Skeleton) -> None:
     clean = measured(skeleton, "idle", 72.0, "learned")
     noisy = measured(skeleton, "idle", 72.0, "learned", Disturbance(noise_mm=0.5, noise_deg=0.1, seed=1))
     assert noisy.jitter < 2 * max(clean.jitter_truth, 1.0)
+
+
+@pytest.mark.parametrize("turn", [0.7, np.pi / 2, np.pi])
+def test_who_turned_on_the_spot_stands_as_before(stage: Stage, track: Track, turn: float) -> None:
+    """Head and hands turn about the eyes within 0.4 s, as those of an emulated headset do, and rest."""
+    samples = []
+    for i in range(720):
+        t = i * DT
+        yaw = turn * float(np.clip((t - 3) / 0.4, 0, 1))
+        s, c = np.sin(yaw), np.cos(yaw)
+        about = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        off = {side: np.subtract(stage.hand(side, 0.22, 0.53, 0.05), stage.eye) for side in ("left", "right")}
+        hands = {side: tuple(np.add(stage.eye, about @ place)) for side, place in off.items()}
+        samples.append(stage.sample(t, turn=head_turn(yaw), **hands))
+    joints = track(samples, solver="learned").joints
+    before, after = (joints[row][list(FEET)] - joints[row][PELVIS] for row in (200, -1))
+    assert np.linalg.norm((after @ about - before)[:, [0, 2]], axis=1).max() < 0.09
 
 
 def test_hands_lost_and_found_head_only_and_teleports(stage: Stage, track: Track) -> None:
