@@ -203,6 +203,7 @@ def test_an_address_brings_people_together_who_see_whom_they_meet(open_page: Ope
     second = visit(open_page, served, address=f"{served.page}?room=lab&name=Eve")
     second.until(company("You are Eve, as bob. Here: Dee."))
     first.until(company("You are Dee, as ann. Here: Eve."))
+    assert second.page.input_value("#avatar") == "bob"
     assert first.page.inner_text("#who") == "Room lab"
     assert second.page.get_attribute("#people-1", "aria-pressed") == "true"
     seats = served.server.feature(Rooms)._rooms["lab"]._guests

@@ -206,12 +206,13 @@ function standAround() {
   };
 }
 
-/** Return {room, name, avatar, others: [{name, speaks}]} of the room that the user is in; null while alone. */
+/** Return {room, name, avatar, others: [{name, speaks}], given: who was given, without a choice} of the user's room; null while alone. */
 function company() {
   const own = you();
   if (!own || connection.state !== 'open') return null;
   const others = stage.people.filter((one) => !one.you).map(({ name }) => ({ name, speaks: stage.names.speaks(name) }));
-  return { room: settings.get('room'), name: own.name, avatar: titleOf(own.avatar), others };
+  const given = settings.chosen('avatar') ? '' : own.avatar;
+  return { room: settings.get('room'), name: own.name, avatar: titleOf(own.avatar), others, given };
 }
 
 /** Return a line on it for the panel. */
@@ -266,7 +267,7 @@ function offered(session) {
   offer = session;
   const named = (value) => ({ value, label: `${value}` });
   settings.setOptions('avatar', session.avatars.map(({ name, title }) => ({ value: name, label: title || name })));
-  const rooms = (session.rooms ?? []).map(({ name, people, seats }) => ({ value: name, label: `${name} (${people} of ${seats})` }));
+  const rooms = (session.rooms ?? []).map(({ name, seats }) => ({ value: name, label: `${name} (up to ${seats} people)` }));
   settings.setOptions('room', [{ value: '', label: 'None: alone' }, ...rooms]);
   if (asked.get('room') && !rooms.some(({ value }) => value === asked.get('room'))) complain(`there is no room "${asked.get('room')}" here`);
   if (!NAME.test(asked.get('name') ?? '')) complain('the name in the address is not used: up to 32 letters and digits are needed');

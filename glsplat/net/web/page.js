@@ -52,10 +52,12 @@ export class Page extends EventTarget {
     button.hidden = !again;
   }
 
-  /** As whom the user is in a room, and with whom: {name, avatar, others: [{name, speaks}]}; null: alone. */
+  /** As whom the user is in a room, and with whom: {name, avatar, others: [{name, speaks}], given}; null: alone. */
   company(met) {
+    if (!met && !this.#get('company').hidden) this.#show('avatar');
     this.#get('company').hidden = this.#get('invite').hidden = !met;
     if (!met) return;
+    if (met.given) this.#get('avatar').value = met.given;
     const you = `You are ${met.name}, as ${met.avatar}.`;
     const others = met.others.map(({ name, speaks }) => (speaks ? `${name} (speaking)` : name)).join(', ');
     const text = `${you} ${others ? `Here: ${others}.` : 'Nobody else is here yet.'}`;

@@ -38,8 +38,8 @@ function reached(found, room) {
 
 function invited({ page, local, svg }) {
   const words = local
-    ? 'Who opens this address on this computer meets you in the room. For others on your network start the server with --host 0.0.0.0 --self-signed.'
-    : 'Who opens this address, or scans it, meets you in the room.';
+    ? 'Anyone who opens this address on this computer meets you in the room. To let others on your network in, start the server with --host 0.0.0.0 --self-signed.'
+    : 'Anyone who opens or scans this address meets you in the room.';
   return { words, svg, address: page };
 }
 

@@ -22,7 +22,7 @@ export class Choice {
 
   /** `wish`: a value of the setting `drawn`. */
   constructor(wish = 'auto') {
-    this.#wish = wish;
+    this.wish = wish;
   }
 
   set wish(wish) {
@@ -30,6 +30,11 @@ export class Choice {
     this.#until = 0;
     this.#pause = PAUSE;
     if (wish === 'server') this.#back('you chose the server');
+  }
+
+  /** Whether the user chose the server, so that this device needs no avatar. */
+  get declined() {
+    return this.#wish === 'server';
   }
 
   /** Whether the user chose this device, so that no comparison is needed. */

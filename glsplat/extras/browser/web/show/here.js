@@ -74,7 +74,7 @@ export class Here {
   draws(views, where, rate, now) {
     this.choice.frame(now);
     // measure with the whole avatar: the coarsest level alone is much faster
-    if (this.choice.asks(this.#why(now), now) && (this.choice.settled || this.cache.whole(this.#offer.sha256))) {
+    if (!this.choice.declined && this.choice.asks(this.#why(now), now) && (this.choice.settled || this.cache.whole(this.#offer.sha256))) {
       const avatar = this.cache.get(this.#offer.sha256, now);
       this.#own.people = [{ key: 0, avatar, pose: atRest(avatar.skeleton) }];
       this.choice.measured(this.#own.measure(views, where.shown, this.choice.display), rate, now);
