@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.segments import joint_weights
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.lamp import Lamp
@@ -42,7 +43,7 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
     """Return the hands in the front ``shot``: in their own tone if it shows enough skin, else in the face's.
 
     ``texture`` [H, W, 3] is the open body's skin in sRGB; None: plain skin. Hands unlike the face have their own
-    colour, as gloves do, only if both agree; one alone is a sleeve.
+    colour, as gloves do, only if both agree and are unlike the forearms; else a sleeve lies over them.
     """
     uv = np.zeros((len(body.vertices), 2))
     uv[body.faces.ravel()] = body.uv.reshape(-1, 2)
@@ -68,6 +69,11 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
     worn = [np.median(plain, axis=0) for *_, plain, _ in found if len(plain) > _MIN_VERTICES]
     alike = len(worn) == 2 and likeness(worn[0][None], worn[1][None])[0] > 0.5
     alike &= sum(like.sum() for *_, like in found) < _MAX_SKIN_FRACTION * sum(len(like) for *_, like in found)
+    for side in ("left", "right"):
+        forearm = (joint_weights(body, side, "elbow") > 0.5) & (shot.visibility > _MIN_VISIBILITY)
+        if alike and forearm.sum() > _MIN_VERTICES:
+            sleeve = np.median(unlit(shot, light, forearm), axis=0)
+            alike &= likeness(np.mean(worn, axis=0)[None], sleeve[None])[0] < 0.5
     tone = np.mean(bare, axis=0) if bare else np.mean(worn, axis=0) if alike else face
     if tone is None:
         return Hands(share, colour)

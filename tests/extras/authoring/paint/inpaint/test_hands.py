@@ -45,6 +45,23 @@ def test_hands_have_the_tone_of_skin_unless_both_wear_gloves(
     assert np.allclose(*(np.median(hands.colour[hand], axis=0) for hand in (LEFT, RIGHT)), rtol=0.1)
 
 
+def test_hands_below_long_sleeves_have_the_tone_of_the_face(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = made_up.albedo
+    arms = [joint_weights(BODY, side, "elbow", *HANDS) > 0.3 for side in ("left", "right")]
+
+    def sleeved(mesh: RiggedMesh) -> np.ndarray:
+        colours = usual(mesh)
+        colours[arms[0] | arms[1]] = GREEN
+        return colours
+
+    monkeypatch.setattr(made_up, "albedo", sleeved)
+    shot = (scene := photographed.__wrapped__("front")).shots[0]
+    hands, face = hands_of(BODY, shot, scene.light, hand_skin()), face_colour(BODY, shot, scene.light)
+    assert face is not None
+    for hand in (LEFT, RIGHT):
+        assert likeness(np.median(hands.colour[hand], axis=0)[None], face[None])[0] > 0.8
+
+
 def test_a_patch_in_the_picture_of_a_hand_is_not_painted(monkeypatch: pytest.MonkeyPatch) -> None:
     usual, painted = made_up.albedo, []
     half = LEFT & (BODY.vertices[:, 2] > np.median(BODY.vertices[LEFT, 2]))
