@@ -74,6 +74,7 @@ const immersive = new Immersive(gl, stage, settings, menu, {
   measured: () => measured,
   radius: () => circle(),
   others: () => stage.heads.others,
+  accompanied: () => !you() || stage.people.length > 1, // until that is known, the mirror is aside
   onCalibrated: (result) => {
     measured = result;
     calibration.save(result);

@@ -32,7 +32,7 @@ const both = (words) => ({ vr: words, ar: words });
 
 /**
  * One session at a time. `actions` is what the panel's rows do: {rows(immersive) -> rows, press(id)}; `tools`:
- * {calibration, recorder, driven(), speaks(sample), measured(), radius() of the room, others() of it, onCalibrated(result), onEnd()}.
+ * {calibration, recorder, driven(), speaks(sample), measured(), radius() of the room, others() of it, accompanied() in it, onCalibrated(result), onEnd()}.
  */
 export class Immersive {
   mode = ''; // vr, ar, or empty while there is no session
@@ -177,7 +177,7 @@ export class Immersive {
       viewport: session.renderState.baseLayer.getViewport(view),
     }));
     const head = viewer.transform.matrix;
-    const company = this.#tools.others().length > 0;
+    const company = this.#tools.accompanied?.() ?? false;
     if (!this.#where || this.#again || company !== this.#company) this.#placeView(head, company);
     const tracked = sampleOf(frame, this.#space, viewer);
     const lower = drivenBodyOf(frame, this.#space);
