@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import trunk_vertices
+from glsplat.extras.authoring.body.segments import HANDS, joint_weights, trunk_vertices
 from glsplat.extras.authoring.dress.coat import MIN_COVERED_FRACTION, coat_hem, hem_row, leg_gaps
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import projected
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.view import View
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import unit_vectors
@@ -47,7 +48,7 @@ def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8
 
     ``rgb`` [H, W, 3] is the front's picture.
     """
-    dressed = Dressed(dressed_mesh(body, fit), fit.views)
+    dressed = with_bare_hands(body, fit, views)
     hem = hem_of(body, fit, dressed.mesh, views[0])
     if hem is not None:  # it hangs before the legs, so it is higher than where they meet its row
         legs, where = _leg(body, "left") | _leg(body, "right"), dressed.views[0].vertices
@@ -59,6 +60,18 @@ def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8
         return dressed
     bare = body.shaped(fit.betas)[0] - (fit.joints[0] - dressed.mesh.skeleton.joints[0])
     return with_skirt(body, bare, dressed, views, hem)
+
+
+def with_bare_hands(body: Body, fit: BodyFit, views: Sequence[View]) -> Dressed:
+    """Return the dressed body with hands of the body's own shape: outlines of a few pixels make fingers thorns.
+
+    The fit itself needs those offsets, as it compares outlines.
+    """
+    mesh = dressed_mesh(body, fit)
+    share = sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) * body.skin * fit.offsets
+    rest = mesh.vertices - share[:, None] * offset_directions(body, body.shaped(fit.betas)[0])
+    mesh, moved = replace(mesh, vertices=rest), share != 0
+    return Dressed(mesh, tuple(_moved(mesh, view, old, moved) for view, old in zip(views, fit.views, strict=True)))
 
 
 def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | None:

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.sparse import diags
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS
 from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
@@ -18,9 +17,16 @@ F64 = NDArray[np.float64]
 OFFSET_RANGE_M = -0.03, 0.12
 """Limits of the offsets, inwards and outwards."""
 
-_MAX_OFFSET_M = dict.fromkeys(HANDS, 0.0) | {"foot": 0.03}
-"""By parts of joints' names: outlines of a few pixels would make fingers thorns; shoes have soles."""
-
+# metres, by parts of joints' names: hands wear nothing, shoes have soles
+_MAX_OFFSET_M = {
+    "index": 0.006,
+    "middle": 0.006,
+    "pinky": 0.006,
+    "ring": 0.006,
+    "thumb": 0.006,
+    "wrist": 0.012,
+    "foot": 0.03,
+}
 # weights relative to that of a vertex on the outline
 _SMOOTHNESS_WEIGHT = 0.12  # of equal offsets of neighbours
 _ZERO_WEIGHT = 2e-3  # of a zero offset

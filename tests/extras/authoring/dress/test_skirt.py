@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at
+from glsplat.extras.authoring.body.segments import HANDS, joint_weights
 from glsplat.extras.authoring.dress.coat import coat_hem
-from glsplat.extras.authoring.dress.fitted_mesh import Dressed
-from glsplat.extras.authoring.dress.skirt import hem_of, with_skirt
+from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
+from glsplat.extras.authoring.dress.skirt import hem_of, with_bare_hands, with_skirt
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.meshes import RiggedMesh
@@ -41,6 +45,21 @@ def skirted(share: float, reach: float = 0.12) -> tuple[np.ndarray, float]:
         middle = columns[np.abs(columns - at[0, 0]) < reach * (ankles - hips) * 2]
         mask[row, middle.min() : middle.max() + 1] = True
     return mask, hem
+
+
+def test_hands_have_the_body_s_own_shape() -> None:
+    scene = photographed("front")
+    body, fit = scene.body, scene.fit
+    share = sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) * body.skin
+    bare, hands = body.shaped(fit.betas)[0], share > 0.999
+    thin = np.where(hands, -0.006, fit.offsets)
+    off = replace(fit.views[0], vertices=fit.views[0].vertices + 0.01)
+    worn = replace(fit, offsets=thin, rest=bare + thin[:, None] * offset_directions(body, bare), views=(off,))
+    made, (front,) = with_bare_hands(body, worn, [view_with(scene.shots[0].mask)])
+    shift = made.vertices - bare
+    assert np.ptp(shift[hands], axis=0).max() < 1e-6  # the floor's
+    assert np.array_equal(made.vertices[body.part == 0], dressed_mesh(body, worn).vertices[body.part == 0])
+    assert np.abs(front.vertices - fit.views[0].vertices)[hands].max() < 1e-5
 
 
 def test_a_skirt_ends_at_its_hem_and_trousers_have_none() -> None:
