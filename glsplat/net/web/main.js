@@ -207,7 +207,7 @@ function standAround() {
   };
 }
 
-/** Return {room, name, avatar, others: [{name, speaks}], given: who was given, without a choice} of the user's room; null while alone. */
+/** Return {room, name, avatar, others: [{name, speaks}], given} of the user's room; null while alone. `given`: the avatar of who chose none, else ''. */
 function company() {
   const own = you();
   if (!own || connection.state !== 'open') return null;

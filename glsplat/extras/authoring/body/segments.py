@@ -44,6 +44,11 @@ def arm_layers(body: Body) -> NDArray[np.intp]:
     return frozen(layer_of(arm_segments(body)))
 
 
+def hand_weights(body: Body) -> NDArray[np.float64]:
+    """Return [V] the weights of both hands' joints."""
+    return np.asarray(sum(joint_weights(body, side, *HANDS) for side in ("left", "right")))
+
+
 def forearms(body: Body) -> NDArray[np.bool_]:
     """Return a mask [V] of forearms and hands."""
     return np.isin(arm_segments(body), FOREARMS)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS, joint_weights, trunk_vertices
+from glsplat.extras.authoring.body.segments import hand_weights, trunk_vertices
 from glsplat.extras.authoring.dress.coat import MIN_COVERED_FRACTION, coat_hem, hem_row, leg_gaps
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
@@ -68,9 +68,9 @@ def with_bare_hands(body: Body, fit: BodyFit, views: Sequence[View]) -> Dressed:
     The fit itself needs those offsets, as it compares outlines.
     """
     mesh = dressed_mesh(body, fit)
-    share = sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) * body.skin * fit.offsets
-    rest = mesh.vertices - share[:, None] * offset_directions(body, body.shaped(fit.betas)[0])
-    mesh, moved = replace(mesh, vertices=rest), share != 0
+    away = hand_weights(body) * body.skin * fit.offsets
+    rest = mesh.vertices - away[:, None] * offset_directions(body, body.shaped(fit.betas)[0])
+    mesh, moved = replace(mesh, vertices=rest), away != 0
     return Dressed(mesh, tuple(_moved(mesh, view, old, moved) for view, old in zip(views, fit.views, strict=True)))
 
 

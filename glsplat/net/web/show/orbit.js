@@ -11,7 +11,7 @@ const TURN = (5 * Math.PI) / 180; // radians a key press
 const STEP = 0.05; // a key press moves by this part of the distance
 const ZOOM = 1.1; // a key press changes the distance by this factor
 const SLACK = 0.1; // the avatar may be off the middle by this part of the distance before the camera follows
-const BACK = 4.9; // metres from the middle of a room at most: places have walls at 4.6, and it looks aside
+const BACK = 4.9; // metres of the camera from the middle of a room at most: a place has walls at 4.6, and it stands aside of the axis
 const FACE = { down: 0.13, distance: 0.85 }; // metres: from the top of the box to the eyes, and away from them
 const FOLLOWING = 0.5; // seconds in which the camera makes up most of the rest
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera, look_at
-from glsplat.extras.authoring.body.segments import HANDS, joint_weights
+from glsplat.extras.authoring.body.segments import hand_weights
 from glsplat.extras.authoring.dress.coat import coat_hem
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.dress.skirt import hem_of, with_bare_hands, with_skirt
@@ -50,8 +50,7 @@ def skirted(share: float, reach: float = 0.12) -> tuple[np.ndarray, float]:
 def test_hands_have_the_body_s_own_shape() -> None:
     scene = photographed("front")
     body, fit = scene.body, scene.fit
-    share = sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) * body.skin
-    bare, hands = body.shaped(fit.betas)[0], share > 0.999
+    bare, hands = body.shaped(fit.betas)[0], hand_weights(body) * body.skin > 0.999
     thin = np.where(hands, -0.006, fit.offsets)
     off = replace(fit.views[0], vertices=fit.views[0].vertices + 0.01)
     worn = replace(fit, offsets=thin, rest=bare + thin[:, None] * offset_directions(body, bare), views=(off,))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import HANDS, arm_layers, forearms, joint_weights
+from glsplat.extras.authoring.body.segments import arm_layers, forearms, hand_weights
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
@@ -30,7 +30,7 @@ _MIN_INSET_FRACTION = 0.015  # of the person's height, from the trunk's outline;
 @lru_cache(maxsize=1)
 def hands(body: Body) -> NDArray[np.bool_]:
     """Return a mask [V] of the hands."""
-    return np.asarray(sum(joint_weights(body, side, *HANDS) for side in ("left", "right")) > 0.5)
+    return hand_weights(body) > 0.5
 
 
 def beside_arms(
