@@ -112,9 +112,13 @@ def test_all_guests_stand_in_one_place(open_page: OpenPage, served: Any) -> None
 
     bob.meanwhile(lambda: len(found := lights()) == 2 and np.allclose(*found, atol=1e-3))
     assert np.ptp(lights()[0], axis=0).max() > 0.1
-    seen = [cv2.imdecode(np.frombuffer(page.page.screenshot(), np.uint8), cv2.IMREAD_COLOR) for page in (ann, bob)]
-    walls = [picture[80:160].astype(float) for picture in seen]
-    assert np.abs(walls[0] - walls[1]).mean() > 5
+
+    def walls() -> list[NDArray[np.float64]]:
+        """What each page shows above the heads."""
+        seen = [np.frombuffer(page.page.screenshot(), np.uint8) for page in (ann, bob)]
+        return [cv2.imdecode(picture, cv2.IMREAD_COLOR)[80:160].astype(float) for picture in seen]
+
+    bob.meanwhile(lambda: np.abs(np.subtract(*walls())).mean() > 5)  # a page shows its place some time after it asked
 
 
 def test_a_mirror_hangs_ahead_until_others_come(open_page: OpenPage, served: Any) -> None:
