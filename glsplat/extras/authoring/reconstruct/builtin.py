@@ -42,7 +42,7 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
 )
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
-from glsplat.extras.authoring.templates.hair_mask import seen_hair
+from glsplat.extras.authoring.templates.hair_mask import labels_of, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
 from glsplat.extras.authoring.templates.library import HAIR, hand_skin, template
@@ -129,7 +129,7 @@ class Builtin:
 def _template_hair(body: Body, fit: BodyFit, front: FittedPicture) -> tuple[FittedHair | None, str]:
     """Return the hair of the ``front`` picture as a template, None where the painted head is safer, and a note."""
     head = head_view(body, fit, front)
-    seen = seen_hair(head)
+    seen = seen_hair(head, labels_of(head))
     hair = None if seen is None else fit_hair(head, seen, tuple(HAIR))
     if hair is None:
         return None, "painted, " + ("none is found" if seen is None else "short, below a hat")

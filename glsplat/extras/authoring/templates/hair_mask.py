@@ -1,4 +1,4 @@
-"""Find hair in the front picture by colours: like the crown or the sides of the face, unlike skin and clothes."""
+"""Find hair in the front picture: by a network, or by colours like those of the crown or beside the face."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from scipy.cluster.vq import kmeans2
 
 from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.fit.offsets import face_vertices
+from glsplat.extras.authoring.networks import head_parts
+from glsplat.extras.authoring.networks.head_parts import HeadPart
+from glsplat.extras.authoring.networks.network import Crop
 from glsplat.extras.authoring.templates.head_view import HeadView
 from glsplat.pictures import to_linear, to_srgb
 
@@ -28,6 +31,9 @@ _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
 _MIN_PIXELS = 60  # of a lock
+_CROP_HEADS = 2.3  # of the head's height: the network's picture
+# of what is above the eyes: labels that no head has; a hat; hair of a head that is not bald
+_MAX_UNKNOWN, _MIN_HAT_FRACTION, _MIN_HAIR_FRACTION = 0.25, 0.2, 0.08
 _BESIDE_HEADS = 1.3  # of the head's height, to both sides, that is searched
 _BELOW_HEADS = 2.2  # below the chin
 
@@ -41,8 +47,21 @@ class SeenHair:
     hat: float | None  # height of a hat's rim in that plane; None without a hat
 
 
-def seen_hair(head: HeadView) -> SeenHair | None:
-    """Return the hair that the picture shows, or None for a bald or wholly covered head."""
+def labels_of(head: HeadView) -> NDArray[np.uint8] | None:
+    """Return the ``HeadPart`` of each pixel [H, W] of the head; None without the network."""
+    if not head_parts.available():
+        return None
+    sizes, up = head.sizes, head.rotation[:2, 1]
+    x, y = head.shot.project(head.camera(head.middle[None]))[0]
+    side = _CROP_HEADS * (sizes.top - sizes.chin) * head.scale
+    return head_parts.head_parts(head.shot.rgb, Crop(float(x), float(y), side, float(np.arctan2(up[0], -up[1]))))
+
+
+def seen_hair(head: HeadView, labels: NDArray[np.uint8] | None = None) -> SeenHair | None:
+    """Return the hair that the picture shows, or None for a bald or wholly covered head.
+
+    ``labels`` [H, W] are those of ``labels_of``. Colours decide without them, and where they make no sense.
+    """
     shot, sizes = head.shot, head.sizes
     box = _box(head)
     rgb, mask = shot.rgb[box], shot.mask[box]
@@ -63,6 +82,9 @@ def seen_hair(head: HeadView) -> SeenHair | None:
         plane = where[found]
         return SeenHair(out, plane[:: max(1, len(plane) // 20_000)], hat)
 
+    if labels is not None and _is_plausible(labels[box][near & (up > sizes.eyes)]):
+        labelled = _labelled_hair(head, labels[box], near, aside, up)
+        return None if labelled is None else seen(*labelled)
     face = _vertex_pixels(head, face_vertices(head.body), box)
     skin = np.median(look[face], axis=0)
     above = near & (up > sizes.top - 0.035) & (aside < 0.06)
@@ -104,9 +126,7 @@ def seen_hair(head: HeadView) -> SeenHair | None:
     lock = near & (like < 0.85 * other) & (like < 26) & ~never & (aside < 0.8 * tall)
     found |= _opened(lock)
     found = _opened(found & near & (like < np.minimum(other, _MAX_LIKE)))
-    count, label = cv2.connectedComponents(found.astype(np.uint8))
-    kept = [k for k in range(1, count) if (m := label == k).sum() > _MIN_PIXELS and up[m].max() > sizes.eyes - 0.03]
-    found = np.isin(label, kept)
+    found = _from_head(found, up, sizes.eyes)
     if not found.any():
         return None
     hat = None
@@ -114,6 +134,36 @@ def seen_hair(head: HeadView) -> SeenHair | None:
         cap = near & (up > sizes.eyes) & ~found & (away(crown) < away(hair)) & (aside > 0.7 * sizes.half_width)
         hat = float(np.quantile(up[cap], 0.1)) if cap.any() else sizes.eyes + 0.05
     return seen(found, hat)
+
+
+def _is_plausible(labels: NDArray[np.uint8]) -> bool:
+    """Return whether the network knows what is above the eyes; of a figurine's hair it may not."""
+    unknown = np.isin(labels, (HeadPart.BACKGROUND, HeadPart.CLOTH))
+    return len(labels) > 0 and float(unknown.mean()) < _MAX_UNKNOWN
+
+
+def _labelled_hair(
+    head: HeadView, labels: NDArray[np.uint8], near: Bools, aside: NDArray[np.floating], up: NDArray[np.floating]
+) -> tuple[Bools, float | None] | None:
+    """Return hair and the rim of a hat as the network sees them; None for a bald or wholly covered head."""
+    sizes = head.sizes
+    hat = near & (labels == HeadPart.HAT) & (up > sizes.eyes)
+    beard = (aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02)
+    found = near & ((labels == HeadPart.HAIR) | ((labels == HeadPart.HAT) & ~hat)) & ~beard
+    found = _from_head(_opened(found), up, sizes.eyes)
+    above = near & (up > sizes.eyes)
+    if found.sum() < _MIN_HAIR_FRACTION * above.sum():
+        return None
+    worn = hat.sum() > _MIN_HAT_FRACTION * above.sum()
+    sides = hat & (aside > 0.7 * sizes.half_width)
+    return found, float(np.quantile(up[sides if sides.any() else hat], 0.1)) if worn else None
+
+
+def _from_head(mask: Bools, up: NDArray[np.floating], eyes: float) -> Bools:
+    """Return the connected parts of a mask that reach up to the eyes."""
+    count, label = cv2.connectedComponents(mask.astype(np.uint8))
+    kept = [k for k in range(1, count) if (m := label == k).sum() > _MIN_PIXELS and up[m].max() > eyes - 0.03]
+    return np.isin(label, kept)
 
 
 def _box(head: HeadView) -> tuple[slice, slice]:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F32
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.models.store import path_of
+from glsplat.extras.authoring.networks.onnx import Graph
 
-from .onnx import model, output
 from .pixels import checked
-from .weights import BACKBONES, read_weights
+from .weights import BACKBONES, Backbone, Weights, read_weights
 
 _SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained
 _SCALE = np.array([0.458, 0.448, 0.450])
@@ -36,10 +35,7 @@ class Lpips:
         backbone = BACKBONES[kind]
         self._least = backbone.least
         weights = read_weights(path or path_of(backbone.model), backbone)
-        data = np.frombuffer(model(weights, backbone), np.uint8)
-        engine = [cv2.dnn.ENGINE_CLASSIC] if hasattr(cv2.dnn, "ENGINE_CLASSIC") else []  # the one of OpenCV 4
-        self._network = cv2.dnn.readNetFromONNX(data, *engine)
-        self._outputs = [output(index) for index in backbone.seen]
+        self._network, self._outputs = _convolutions(weights, backbone)
         self._roots = [np.sqrt(head) for head in weights.heads]
 
     def features(self, picture: NDArray[np.floating]) -> list[F32]:
@@ -72,3 +68,16 @@ class Lpips:
             difference = (one - other).ravel()
             total += float(difference @ difference) / (one.shape[0] * one.shape[1])
         return total
+
+
+def _convolutions(weights: Weights, backbone: Backbone) -> tuple[Any, list[str]]:
+    """Return the backbone as a network of OpenCV, and the names of the outputs to compare."""
+    graph, last, names = Graph(), "picture", []
+    for index, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True)):
+        if index in backbone.pooled:
+            last = graph.max_pool(last, backbone.pool)
+        stride = 1 if index else backbone.stride
+        last = graph.conv(last, kernel.transpose(3, 2, 0, 1), bias, stride, backbone.padding[index], relu=True)
+        names.append(last)
+    seen = [names[index] for index in backbone.seen]
+    return graph.network((backbone.least,) * 2, seen), seen  # OpenCV takes other sizes as they come

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from glsplat.extras.authoring.fit.offsets import face_vertices
+from glsplat.extras.authoring.networks.head_parts import HeadPart
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
@@ -74,6 +75,28 @@ def test_hair_like_skin_is_what_stands_out_from_the_skull() -> None:
     assert seen.mask.sum() > 0.3 * (up > head.sizes.chin).sum()
     hair = fit_hair(head, seen, tuple(HAIR))
     assert hair is not None and hair.agreement > MIN_AGREEMENT
+
+
+def test_a_networks_labels_decide_where_they_make_sense() -> None:
+    head, drawn = pictured("bob01")
+    up = head.plane(np.stack(np.mgrid[: drawn.shape[0], : drawn.shape[1]][::-1], axis=-1) + 0.5)[..., 1]
+    rgb = head.shot.rgb.copy()
+    rgb[drawn] = np.median(rgb[face_pixels(head)], axis=0)  # colours tell nothing
+    plain = replace(head, shot=replace(head.shot, rgb=rgb))
+    labels = np.where(head.shot.mask, HeadPart.SKIN, HeadPart.BACKGROUND).astype(np.uint8)
+    assert seen_hair(head, labels) is None  # bald, whatever the colours
+    labels[drawn] = HeadPart.HAIR
+    seen = seen_hair(plain, labels)
+    assert seen is not None and seen.hat is None and not (seen.mask & ~drawn).any()
+    assert (seen.mask & drawn).sum() > 0.9 * (drawn & (up > head.sizes.eyes)).sum()
+    rim = head.sizes.eyes + 0.05
+    labels[drawn & (up > rim)] = HeadPart.HAT
+    hatted = seen_hair(plain, labels)
+    assert hatted is not None and hatted.hat is not None and abs(hatted.hat - rim) < 0.03
+    assert not (hatted.mask & (up > rim + 0.01)).any()
+    labels[up > head.sizes.eyes] = HeadPart.BACKGROUND  # the network takes hair for the room
+    by_colour, again = seen_hair(head), seen_hair(head, labels)
+    assert by_colour is not None and again is not None and (by_colour.mask == again.mask).all()
 
 
 def face_pixels(head: HeadView) -> tuple[np.ndarray, np.ndarray]:
