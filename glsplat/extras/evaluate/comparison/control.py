@@ -19,7 +19,7 @@ CONTROLS = ("tracking", "pose")
 
 
 def recorded(performance: Performance, skeleton: Skeleton) -> list[Sample]:
-    """Return an ideal headset's samples of the performer at RATE. Raises PoseError if the ``skeleton`` is another's."""
+    """Return an ideal headset's samples of the performer at RATE. Raises PoseError unless the rig is SMPL-X's."""
     ground = np.array([0.0, Body.of(skeleton).ground, 0.0])
     truth = truth_from_motion(skeleton, performance.rotations, performance.trans + ground, RATE, RATE)
     return derive(skeleton, truth)

@@ -1,4 +1,4 @@
-"""A chain of convolutions as the bytes of an ONNX model: what OpenCV's dnn reads, which takes no layers from memory.
+"""Encode a chain of convolutions as the bytes of an ONNX model for OpenCV's dnn, which cannot take layers as arrays.
 
 Messages and field numbers are those of onnx.proto3 (ONNX 1.8, operators of set 13): a message is a sequence of fields,
 each a number and a kind, then a varint or a length and bytes.
@@ -14,12 +14,12 @@ _FLOAT, _INTS = 1, 7  # TensorProto.FLOAT, AttributeProto.INTS
 
 
 def output(convolution: int) -> str:
-    """What a convolution's outcome, negative values cut off, is called in the model."""
+    """Return the name of a convolution's output, after its ReLU."""
     return f"seen{convolution}"
 
 
 def model(weights: Weights, backbone: Backbone) -> bytes:
-    """The backbone from "picture" [1, 3, H, W] on."""
+    """Return the bytes of the model of a backbone, with the input "picture" [1, 3, H, W]."""
     parts, last = [], "picture"
     for index, (kernel, bias) in enumerate(zip(weights.kernels, weights.biases, strict=True)):
         if index in backbone.pooled:
@@ -32,7 +32,7 @@ def model(weights: Weights, backbone: Backbone) -> bytes:
         parts.append(_field(1, _field(1, f"sum{index}") + _field(2, output(index)) + _field(4, "Relu")))
         parts += [_tensor(values[0], kernel.transpose(3, 2, 0, 1)), _tensor(values[1], bias)]
         last = output(index)
-    least = (1, 3, backbone.least, backbone.least)  # OpenCV takes other sizes as they come
+    least = (1, 3, backbone.least, backbone.least)  # OpenCV accepts other sizes, too
     parts += [_field(2, backbone.key), _value(11, "picture", least)]
     parts += [_value(12, output(index)) for index in backbone.seen]
     return _field(1, 8) + _field(8, _field(2, 13)) + _field(7, b"".join(parts))
