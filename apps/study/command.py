@@ -118,13 +118,13 @@ def check(args: argparse.Namespace) -> int:
     print(f"{study.title}: {study.participants} participants, {len(study.conditions)} conditions")
     for factor in study.factors:
         print(f"  {factor.name} ({'between' if factor.between else 'within'}): {', '.join(factor.levels)}")
-    print(f"  {len(study.tasks)} tasks and {asked} items a condition; {minutes:.0f} min of tasks in all")
+    print(f"  {len(study.tasks)} tasks and {asked} items per condition; {minutes:.0f} min of tasks in all")
     rows = cycle(study)
     if study.participants % rows:
-        print(f"  not balanced: {study.participants} participants are no multiple of {rows}, the rows of its square")
+        print(f"  not balanced: {study.participants} participants are no multiple of {rows} (Latin square)")
     groups = math.prod(len(factor.levels) for factor in study.factors if factor.between)
     if study.participants % groups:
-        print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups between them")
+        print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups")
     elif groups > 1 and rows > 1 and study.participants % (rows * groups):
         print(f"  balanced over all participants, not within each group: that takes a multiple of {rows * groups}")
     cells = [

@@ -63,7 +63,7 @@ def until_quiet(
         if quiet.ok:
             break
     else:
-        say(f"not a quiet machine: {quiet.words}; expected at most {MAX_SHARE:.0%}; compare CPU times, or end the rest")
+        say(f"not a quiet machine: {quiet.words}; expected at most {MAX_SHARE:.0%}; compare CPU times, or end others")
     return result, quiet
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 BODY = slice(0, 22)  # the 22 joints of SMPL that the literature scores
 LOWER = (1, 2, 4, 5, 7, 8, 10, 11)
 UPPER = (3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
-WINDOW = 10.0  # seconds of a mean error, of which reports name the worst
+WINDOW = 10.0  # seconds of a part, to find the part with the largest mean error
 CONTACT = 0.02  # metres above the flat ground up to which the ball of a foot counts as planted
 
 

@@ -55,7 +55,7 @@ class Participant:
         """The truth in its zero pose, soles on y = 0. Raises FormatError."""
         found = load(self.mesh_file)
         if not isinstance(found, RiggedMesh) or len(found.skeleton) < 2:
-            raise FormatError(f"{self.mesh_file}: a participant is a textured mesh with a skeleton, this is none")
+            raise FormatError(f"{self.mesh_file}: a participant needs a textured mesh with a skeleton")
         return found
 
     @property

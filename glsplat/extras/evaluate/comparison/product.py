@@ -80,7 +80,7 @@ def _made(name: str, source: str | MadeElsewhere, participant: Participant, opti
 
 def _checked(figure: Any, name: str) -> Rigged:
     if not is_rigged(figure):
-        raise FormatError(f'the method "{name}" gave {figure!r:.80}, not an avatar or a mesh with a skeleton')
+        raise FormatError(f'the method "{name}" returned {figure!r:.80}, not an avatar or a mesh with a skeleton')
     return figure
 
 

@@ -49,7 +49,7 @@ class Protocol:
         if strange := set(self.extra_measures) - set(EXTRA_MEASURES):
             raise GlsplatError(f"further measures are {', '.join(EXTRA_MEASURES)}, not {min(strange)!r:.30}")
         if not 1 <= self.moments <= 100:
-            raise GlsplatError(f"a motion is looked at in 1 to 100 moments, not {self.moments}")
+            raise GlsplatError(f"a motion needs 1 to 100 moments, not {self.moments}")
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON object, which is equal for equal protocols."""
