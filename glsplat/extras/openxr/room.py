@@ -24,7 +24,7 @@ def plane_from_pixel(eye: F64, K: F64, origin: F64, right: F64, up: F64, normal:
     ``eye`` [4, 4] room from eye (OpenXR's axes); ``origin`` [3]; ``right``, ``up``, ``normal`` [3] unit vectors.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    back = np.array([[1 / fx, 0, -cx / fx], [0, -1 / fy, cy / fy], [0, 0, -1.0]])  # pixel to direction in the eye's frame
+    back = np.array([[1 / fx, 0, -cx / fx], [0, -1 / fy, cy / fy], [0, 0, -1.0]])  # pixel to a direction of the eye's
     rays, away = eye[:3, :3] @ back, origin - eye[:3, 3]
     height = float(normal @ away)  # along the normal; the ray meets the plane at height / (normal . ray)
     rows = [height * along - float(along @ away) * normal for along in (right, up)]
