@@ -1,4 +1,4 @@
-"""Decide which avatars may be shown, and who may drive them; asked for every picture. No I/O."""
+"""Decide which avatars may be shown, and who may drive them; called for every picture. No I/O."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ConsentPolicy:
         return self.without or not self._driven.get(avatar) or all(one.lets(driver) for one in consents)
 
     def withheld(self, avatar: str, now: float) -> str | None:
-        """Return why viewers may not receive the splats of ``avatar``; None if they may. ``without`` does not count."""
+        """Return why viewers may not receive the splats of ``avatar``; None if they may. Ignores ``without``."""
         if why := self._refusal(avatar, None, now):
             return why
         if not all(one.hands_out for one in self._people[avatar]):
