@@ -124,7 +124,7 @@ class Uploads(Feature):
         if not self.store.made_here(name):
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
         job = self._job(request)
-        # a job decides who owns an avatar; without one the avatar's consent record does
+        # the owner is that of the job, or without one that of the avatar's consent record
         may = self._queue.find(name) is None and self._gate.rights.may_delete(user_of(request), name)
         if job is None and not may:
             return web.Response(status=404, text=_NO_AVATAR)
