@@ -29,10 +29,10 @@ def clean_png(data: bytes) -> bytes:
         if len(chunks[name]) > most:
             raise _damage(f"{name.decode()} comes twice")
     if len(chunks[b"IHDR"][0]) != 13:
-        raise _damage("its head has a wrong length")
+        raise _damage("its header has a wrong length")
     width, height, depth, colour, packing, filtering, woven = struct.unpack(">IIBBBBB", chunks[b"IHDR"][0])
     if depth not in _DEPTHS.get(colour, ()) or packing or filtering or woven > 1:
-        raise _damage("its head names no kind of pixels")
+        raise _damage("its header has no valid kind of pixels")
     palette = _palette(chunks, colour, depth)
     rows = _rows(width, height, _CHANNELS[colour] * depth, bool(woven))
     packed = b"".join(chunks[b"IDAT"])
@@ -40,7 +40,7 @@ def clean_png(data: bytes) -> bytes:
     start = 0
     for count, size in rows:
         if count and max(pixels[start : start + count * (1 + size) : 1 + size]) > 4:
-            raise _damage("its rows are not what they should be")
+            raise _damage("its rows have an invalid filter")
         start += count * (1 + size)
     parts = [(b"IHDR", chunks[b"IHDR"][0]), *palette, (b"IDAT", packed[:used]), (b"IEND", b"")]
     out = [struct.pack(">I", len(b)) + n + b + struct.pack(">I", zlib.crc32(b, zlib.crc32(n))) for n, b in parts]

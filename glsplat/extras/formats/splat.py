@@ -119,7 +119,7 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
     if splats.sh_degree:
         yield f"spherical harmonics of degree {splats.sh_degree} are dropped, the file holds degree 0"
     if splats.antialias:
-        yield "that the splats want opacity compensation is dropped; draw them with --antialias"
+        yield "the flag for opacity compensation is dropped; draw the splats with --antialias"
     yield from hidden(_hidden(splats))
     yield from clamped_opacities(scene)
     yield from positive_scales(scene)

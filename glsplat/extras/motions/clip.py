@@ -34,7 +34,7 @@ class Clip:
     def __post_init__(self) -> None:
         for values in (self.rest, self.turns, self.places):
             if not np.abs(values).max(initial=0) < _FARTHEST:  # NaN is not less either
-                raise PoseError("a motion needs finite numbers of some size, found NaN, infinity or far too large ones")
+                raise PoseError("a motion needs finite numbers, found NaN, infinity or far too large ones")
 
     def __len__(self) -> int:
         return len(self.turns)

@@ -93,7 +93,7 @@ def humanoid(
 ) -> Humanoid:
     """Return the 55 joints of a rig that has all of ``match.NEEDED``. Raises PoseError if one is missing."""
     if rig.missing:
-        raise PoseError(f"nobody can be driven without {', '.join(rig.missing)}; name them in a rig map")
+        raise PoseError(f"a rig cannot be driven without {', '.join(rig.missing)}; name them in a rig map")
     points, body = np.asarray(positions, np.float64), np.asarray(reference, np.float64)
     rest = {name: points[index] for name, index in rig.joints.items()}
     rest["pelvis"] = _pelvis(rest, body)

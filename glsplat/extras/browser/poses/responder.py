@@ -108,7 +108,7 @@ class PoseResponder:
         name, skeleton = client.shown.name, client.shown.skeleton
         sha256 = self._sha256(name)
         if sha256 is None:
-            return self._withheld(name) or f'"{name}" is nothing that a browser could draw: ask for pictures'
+            return self._withheld(name) or f'"{name}" cannot be drawn by a browser: request pictures'
         pose = request.pose or Pose.zero(55 if skeleton is None else len(skeleton))
         place = AT_ORIGIN
         if solved is not None:

@@ -91,7 +91,7 @@ def read_header(data: bytes) -> tuple[Header, int]:
     try:
         header = _decoder.decode(text)
     except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        raise FormatError("the header is not the JSON that it has to be") from None
+        raise FormatError("the header is not valid JSON of this format") from None
     _check(header, len(data) - HEAD.size - packed)
     return header, HEAD.size + packed
 

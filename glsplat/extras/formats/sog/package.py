@@ -156,7 +156,7 @@ def _check_directory(file: BinaryIO, size: int) -> None:
         raise zipfile.BadZipFile("it has no end record (truncated?)")
     _, _, _, _, entries, directory, _, _ = _END.unpack_from(tail, at)
     if b"PK\6\7" in tail[max(at - 20, 0) : at]:
-        raise zipfile.BadZipFile("it is of the kind for more than 4 GB (ZIP64); pack it without")
+        raise zipfile.BadZipFile("it is a ZIP64, for more than 4 GB; pack it without")
     if entries > _ENTRIES or directory > _DIRECTORY:
         raise zipfile.BadZipFile(f"its directory has {entries} entries in {directory} bytes, a .sog a handful")
 

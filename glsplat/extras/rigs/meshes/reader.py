@@ -197,7 +197,7 @@ def _rigged(
         if guessed or rig.guessed:
             left.add("joints have no name that says what they are, and are told by where they are", len(rig.map))
         elif turned:
-            left.add("person whose left is called right: taken by where the feet point")
+            left.add("person with left and right exchanged: corrected by the feet's direction")
     elif rig.why:
         meta["no_map"] = rig.why
     if left.counts:
