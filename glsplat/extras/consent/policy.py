@@ -13,7 +13,7 @@ from glsplat.extras.consent.keys import short
 class ConsentPolicy:
     """Consents of a server's avatars, by name.
 
-    ``trusted`` are the public keys (hexadecimal) whose signatures count; None: any valid signature. ``without`` shows
+    ``trusted`` are the public keys (hexadecimal) of accepted signatures; None: any valid signature. ``without`` shows
     every avatar, with a ``label`` in the pictures of those without a valid consent.
     """
 
@@ -62,7 +62,7 @@ class ConsentPolicy:
         return NONE if self._refusal(avatar, driver, time.time() if now is None else now) else ""
 
     def check(self, avatar: str, now: float) -> None:
-        """Raise GlsplatError if ``avatar`` may be shown to nobody."""
+        """Raise GlsplatError if ``avatar`` may not be shown at all."""
         if not self.without and (why := self._refusal(avatar, None, now)):
             raise GlsplatError(
                 f"{why}; sign one (glsplat avatar consent, or --mine of avatar photo), or serve it with "

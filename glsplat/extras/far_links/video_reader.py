@@ -45,7 +45,7 @@ class VideoReader:
     def eyes(self, data: bytes, said: Mapping[str, Any], size: Any) -> tuple[Image, ...]:
         """Decode the eyes' pictures [H, W, 3], with alpha [H, W, 4], of ``size`` (width, height), left first.
 
-        ``said`` is ``video`` of the reply. Returns () if it cannot be decoded; then ``request_fields`` requests a key.
+        ``said`` is ``video`` of the reply. Returns () for invalid data; ``request_fields`` then requests a key frame.
         """
         import av
 

@@ -64,7 +64,7 @@ class Feet(TwoLegs):
         self.reset()
 
     def reset(self, feet: Sequence[Foot] | None = None) -> None:
-        """Reset; the next update puts both feet at the hints, or continues with ``feet``."""
+        """Reset the state; the next update puts both feet at the hints, or continues with ``feet``."""
         super().reset()
         self.started: bool = feet is not None
         for foot, other in zip(self.feet, feet or (), strict=feet is not None):

@@ -109,7 +109,7 @@ class Hints:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.state: Array = self.network.start()
         self._last: tuple[Targets, float] | None = None  # newest sample and its heading
         self._frames: TrackedFrames | None = None  # of the last tick

@@ -47,7 +47,7 @@ class Seat:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.sits = False
         self.yaw = 0.0  # of the head, smoothed
         self._velocity.reset()

@@ -73,7 +73,7 @@ class LearnedSolver:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         guesses = (self.hints, self.uncertainty, self.steady, self.analytic, self.stance, self.expected, self.seat)
         for part in (*guesses, self.ground, self.spine, self.feet, self.head_rest, self.pelvis, self.arms):
             part.reset()

@@ -31,7 +31,7 @@ class HeadRest:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self._at: Vec | None = None
         self._yaw = self._rest_s = 0.0
 
@@ -59,7 +59,7 @@ class Stance:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.share: float = 1.0  # weight of standing: 0 .. 1
         self._velocity.reset()
         self._head: Vec | None = None  # smoothed position of the eyes

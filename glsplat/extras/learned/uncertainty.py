@@ -28,7 +28,7 @@ class Uncertainty:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.uncertain: bool = False
         self._share: float | None = None  # before easing
         self._misses = False
@@ -81,7 +81,7 @@ class ExpectedError:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self._last_eye: Vec | None = None
         self._inputs: tuple[float, ...] | None = None
 

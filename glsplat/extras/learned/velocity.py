@@ -18,7 +18,7 @@ class Velocity:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.value: Vec = (0.0, 0.0, 0.0)
         self._last: Vec | None = None
 
@@ -39,7 +39,7 @@ class SteadyPosition:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self._velocity.reset()
         self._stages: list[Vec] = []
 

@@ -37,7 +37,7 @@ class _Sampler(msgspec.Struct):
 
 
 class Animation(msgspec.Struct):
-    """animations[]."""
+    """An entry of animations[]."""
 
     channels: list[_Channel]
     samplers: list[_Sampler]

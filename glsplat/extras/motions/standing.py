@@ -124,7 +124,7 @@ def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
         places[f"{side}_{part}"] @ other for side in _SIDES for part in ("ankle", "foot") if f"{side}_{part}" in places
     ]
     above = not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg
-    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # nobody lies in the air
+    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # a person cannot lie in the air
         return np.eye(3)
     turn = rotation_between(other, up)
     across = turn @ (places["left_hip"][0] - places["right_hip"][0])

@@ -65,8 +65,8 @@ class Session:
         self.blend: Blend = blend
         self._clock, self._sleep = clock, sleep
         self.state: State = State.UNKNOWN
-        self.frames = 0  # ended so far, with or without a picture
-        self.rendered = 0  # of them, with one
+        self.frames = 0  # ended frames, with or without a picture
+        self.rendered = 0  # ended frames with a picture
         self.losses = 0  # lost runtimes
         self._running = False  # between xrBeginSession and xrEndSession
         self._quit: float | None = None  # deadline for leaving

@@ -114,7 +114,7 @@ class _Rig:
         )
 
     def _on_its_parent(self, joint: int, found: Sequence[int]) -> bool:
-        """Return whether a joint lies on its parent and above another of ``found`` of its word (CMU's LHipJoint)."""
+        """Return whether a joint is at its parent, above another of ``found`` with its word (CMU's LHipJoint)."""
         parent, stem = int(self.parents[joint]), self.words[joint].stem
         if parent < 0 or not any(joint in self.above[i] and self.words[i].stem == stem for i in found):
             return False
@@ -165,7 +165,7 @@ def _limbs(rig: _Rig, side: str) -> dict[str, int]:
         if not {chain[0], chain[1]} <= set(best) and len(alike) >= 2:
             best |= {part: i for part, i in zip(chain, alike, strict=False) if part in chain[:2] or part not in best}
     _ambiguous(rig, side, best)
-    for chain in (_LEG, _ARM):  # two people, or a skeleton and its copy: all of one of them
+    for chain in (_LEG, _ARM):  # with two people, or a skeleton and its copy, use one of them
         for upper, lower in pairwise(part for part in chain if part in best):
             below = [i for i in rig.called(lower, side) if best[upper] in rig.above[i]]
             if best[upper] not in rig.above[best[lower]] and below:

@@ -79,8 +79,8 @@ class IdleFace:
         """Return the sample with gaze and eyelids where it has none.
 
         ``faces``: points [3] between the eyes of others and mirror images, in the sample's space. The eyes look at the
-        one nearest to straight ahead, up to 30 degrees aside and 0.25 to 10 m away. A sample without a head, or with its
-        own eyes and eyelids, is returned unchanged.
+        one nearest to straight ahead, up to 30 degrees aside and 0.25 to 10 m away. A sample without a head, or with
+        its own eyes and eyelids, is returned unchanged.
         """
         head = read_pose(sample.head, 1.0, 0.0, [])
         own = {known for name in sample.expression or () if (known := arkit_name(name)) is not None}

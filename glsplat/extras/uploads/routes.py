@@ -109,7 +109,7 @@ class Uploads(Feature):
         return _not_found() if job is None else _answer(self._status(job))
 
     async def _anyway(self, request: web.Request) -> web.Response:
-        """Resume a refused job. Whoever knows its name has ordered it, as names are in no list."""
+        """Resume a refused job. Its name, which no list contains, proves who ordered it."""
         job = self._job(request)
         if job is None:
             return _not_found()

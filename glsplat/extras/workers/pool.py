@@ -162,7 +162,7 @@ class WorkerPool:
                 self._move(client)
             while not (render_loop.empty or render_loop.living):
                 await asyncio.sleep(0.01)
-            if not render_loop.living:  # else it was lost and started anew meanwhile
+            if not render_loop.living:  # else it was lost and restarted meanwhile
                 render_loop.renew()
             while not render_loop.living:
                 await asyncio.sleep(0.05)

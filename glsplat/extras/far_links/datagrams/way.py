@@ -94,17 +94,17 @@ class SecondWay:
     # ------------------------------------------------------------------------------------------------------- PathUser
 
     def opened(self, path: DatagramPath) -> None:
-        """As in PathUser."""
+        """Use the path for pictures."""
         self._path, self._before = path, self._sent
 
     def answered(self, payload: bytes) -> None:
-        """As in PathUser."""
+        """Record an answer to a ping or a picture."""
         if self._session.link is not None:
             self._session.link.ponged(payload, self._clock())
             self._wake()
 
     def heard(self, message: bytes) -> None:
-        """As in PathUser."""
+        """Queue a message."""
         self._heard.append(message)
         self._more.set()
 
@@ -116,18 +116,18 @@ class SecondWay:
         return self._heard.popleft().decode("utf-8", "replace")
 
     def lost(self, frame_id: int) -> None:
-        """As in PathUser."""
+        """Record a lost picture."""
         self._lost += 1
         self._session.lost(frame_id, self._clock())
         self._wake()
 
     def unanswered(self, frame_id: int) -> None:
-        """As in PathUser."""
+        """Give up an unanswered picture."""
         self._session.give_up((frame_id,))
         self._wake()
 
     def closed(self) -> None:
-        """As in PathUser."""
+        """Drop the path and give up its pictures."""
         self._path = None
         self._session.give_up(self._newest)  # QUIC may have acknowledged pictures that the client did not
         self._wake()

@@ -52,7 +52,7 @@ def read_gltf_person(
     0, (0, 0) and white and are logged, or with ``strict`` refused. Raises FormatError naming the file: nothing with a
     rig, compressed geometry, a texture that is no picture, points that are not finite.
     """
-    with opened(path, strict) as start, np.errstate(all="ignore"):  # what is no number is refused by RiggedMesh
+    with opened(path, strict) as start, np.errstate(all="ignore"):  # RiggedMesh refuses values that are not finite
         container = read_container(start.file, start.size, start.folder)
         graph = graph_of(container.gltf)
         shown = _shown(container, graph)
