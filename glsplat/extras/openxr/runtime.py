@@ -37,7 +37,7 @@ class State(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fov:
-    """XrFovf: angles from the line of sight, radians; left and down are usually negative, all may differ."""
+    """XrFovf: angles from the line of sight, radians; left and down are negative, and all may differ."""
 
     left: float
     right: float

@@ -18,7 +18,7 @@ class Bound:
     """Bind frames of a file's nodes."""
 
     frames: F64  # [N, 4, 4] of all nodes, in the space in which the first skin's vertices are stored
-    shown: F64  # [4, 4] the world from that space, by most joints
+    shown: F64  # [4, 4] the world from that space, as for most joints
 
 
 def bound_of(container: Container, graph: Graph, skins: Sequence[int]) -> Bound:

@@ -31,7 +31,7 @@ class RigMap:
 
     joints: Mapping[str, int]
     missing: tuple[str, ...]
-    """Of NEEDED: with any, the rig cannot be driven."""
+    """Missing joints of NEEDED; with any, the rig cannot be driven."""
 
     def __len__(self) -> int:
         return len(self.joints)

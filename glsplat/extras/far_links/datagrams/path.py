@@ -31,8 +31,8 @@ from glsplat.net.messages import MAX_MESSAGE_BYTES
 
 _HANDSHAKE_S = 5.0  # from the first packet to an accepted session
 _GRACE_S = 0.05  # from QUIC's acknowledgement to the client's answer
-_SILENT_S = 1.0  # or four round trips: longest without news of a picture; then the path is closed
-_UNANSWERED_S = 2.0  # or eight round trips: longest wait for the client's answer to an acknowledged picture
+_SILENT_S = 1.0  # longest time without news of a picture, or four round trips; then the path is closed
+_UNANSWERED_S = 2.0  # longest wait for the client's answer to an acknowledged picture, or eight round trips
 _MAX_UNANSWERED = 3  # unanswered pictures in a row that close a path
 _MAX_LOST = 6  # lost pictures in a row that close a path
 _PACKETS_PER_S, _PACKET_BURST = 600.0, 2000.0  # limits for a client, plus one for each packet sent to it

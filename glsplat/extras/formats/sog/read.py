@@ -15,7 +15,7 @@ from glsplat.extras.formats.sog.package import Package, SogFolder, SogZip
 from glsplat.splats import Splats
 
 _SPARE = 1 << 16  # pixels that an image may have beyond four times its splats
-_SPLATS_A_BYTE, _FREE = 256, 1 << 16  # most splats of a file: for each byte, and in any case
+_SPLATS_A_BYTE, _FREE = 256, 1 << 16  # limit of a file's splats: for each byte, plus a constant
 _CHUNK = 1 << 16  # splats decoded at a time
 _PLACES = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3], [1, 2, 3, 0]])  # of w x y z, by which is the largest
 
