@@ -57,7 +57,7 @@ class PathUser(Protocol):
     """Callbacks of a path, called on the event loop."""
 
     def opened(self, path: DatagramPath) -> None:
-        """Start to send pictures."""
+        """Start sending pictures."""
 
     def answered(self, payload: bytes) -> None:
         """Record the answer to a ping, or the nonce of a picture that arrived."""

@@ -40,7 +40,7 @@ class UdpSocket:
         return self._loop.time() < self._until
 
     def listen(self) -> None:
-        """Start to read; drop queued datagrams."""
+        """Start reading; drop queued datagrams."""
         if self._reads or self._closed or self.shut:
             return
         for _ in range(_STALE):
@@ -50,7 +50,7 @@ class UdpSocket:
         self._loop.add_reader(self._socket.fileno(), self._read)
 
     def rest(self) -> None:
-        """Stop to read, so that datagrams cost nothing."""
+        """Stop reading, so that datagrams cost nothing."""
         if self._reads:
             self._reads = False
             self._loop.remove_reader(self._socket.fileno())
