@@ -43,7 +43,7 @@ class LeftOut:
 
 
 def refuse_packed(instances: Sequence[Instance]) -> None:
-    """Raise FormatError for geometry in a format of its own (Draco)."""
+    """Raise FormatError for compressed geometry (Draco)."""
     for instance in instances:
         packed = [name for name in instance.primitive.extensions if "compression" in name]
         if packed:
