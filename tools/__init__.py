@@ -1,1 +1,1 @@
-"""Programs for the project's own people: what made embedded data and the pictures of the docs; none is installed."""
+"""Programs for developers, which make embedded data, pictures and figures of the docs; none is installed."""

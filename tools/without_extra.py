@@ -3,10 +3,10 @@
     python -m tools.without_extra rooms speech     # each in turn; --all: each extra; --core: all of them at once
     python -m tools.without_extra rooms --tests    # and all remaining tests but the checks
 
-The extras that require the deleted one (REQUIRES in their ``__init__``) go with it, and so do their lines in
-pyproject.toml and their tests: ``tests/extras/NAME``, files of other folders of tests that import them, and tests
-marked ``@pytest.mark.extra(name=NAME)``.
-Checked are all remaining modules, all commands, a picture, and tests/test_layers.py. Exit code 1 if one fails.
+Also deleted are the extras that require it (REQUIRES in their ``__init__``), their lines in pyproject.toml and their
+tests: ``tests/extras/NAME``, other test files that import them, and tests marked ``@pytest.mark.extra(name=NAME)``.
+The program then checks all remaining modules, all commands, a picture, and tests/test_layers.py. Exit code 1 if one
+fails.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def main() -> int:
         parser.error(f"name one of {', '.join(sorted(required))}, or --all or --core")
     tests = ["tests/test_layers.py"] if args.tests is None else args.tests or ["tests"]
     deleted = [names] if args.core else [with_dependents(name, required) for name in names]
-    return int(not all([check(gone, tests) for gone in deleted]))  # a list: a failure ends nothing
+    return int(not all([check(gone, tests) for gone in deleted]))  # a list, so that all run
 
 
 def requirements(root: Path) -> dict[str, tuple[str, ...]]:
@@ -113,7 +113,7 @@ def with_dependents(name: str, required: dict[str, tuple[str, ...]]) -> list[str
 
 
 def check(gone: list[str], tests: list[str]) -> bool:
-    """Print what fails without the extras ``gone``; return whether nothing does. ``tests``: files or folders."""
+    """Print failures without the extras ``gone``; return whether there are none. ``tests``: files or folders."""
     print(f"== without {', '.join(gone)}", flush=True)
     with tempfile.TemporaryDirectory(prefix="glsplat-without-") as folder:
         copy = Path(folder) / "repository"
@@ -130,13 +130,13 @@ def check(gone: list[str], tests: list[str]) -> bool:
 def _copy(to: Path) -> None:
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True)
     for name in filter(None, listed.stdout.split("\0")):
-        if (ROOT / name).is_file():  # not one that is deleted, but not yet in the index
+        if (ROOT / name).is_file():  # the index may list deleted files
             (to / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, to / name)
 
 
 def _delete(copy: Path, gone: list[str]) -> int:
-    """Delete the extras, their lines in pyproject.toml and their tests; return how many other test files went."""
+    """Delete the extras, their lines in pyproject.toml and their tests; return the number of other test files."""
     for name in gone:
         shutil.rmtree(copy / "glsplat" / "extras" / name)
         shutil.rmtree(copy / "tests" / "extras" / name, ignore_errors=True)
@@ -147,24 +147,24 @@ def _delete(copy: Path, gone: list[str]) -> int:
     while files := [file for file in sorted((copy / "tests").rglob("*.py")) if _imports(file, absent)]:
         for file in files:
             file.unlink()
-        count += len(files)  # tests that import one of them go next
+        count += len(files)  # next, delete tests that import one of them
         absent = "|".join(re.escape(".".join(file.relative_to(copy).with_suffix("").parts)) for file in files)
     return count
 
 
 def _imports(file: Path, modules: str) -> bool:
-    """Return whether a file of tests imports one of ``modules``; fixtures of a conftest.py may within functions."""
+    """Return whether a test file imports one of ``modules``, except within functions of a conftest.py."""
     indent = "" if file.name == "conftest.py" else " *"
     return re.search(rf"(?m)^{indent}(from|import) ({modules})\b", file.read_text(encoding="utf-8")) is not None
 
 
 def _run(copy: Path, arguments: list[str]) -> bool:
-    """Run Python with the copy and the installed packages, but without what an editable install adds to the path."""
+    """Run Python with the copy and the installed packages, without the paths of an editable install."""
     paths = [str(copy), *(path for path in sys.path if path.endswith("site-packages"))]
     variables = os.environ | {
         "PYTHONPATH": os.pathsep.join(paths),
         "PYTHONDONTWRITEBYTECODE": "1",
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # those of the base installation, whose packages are found as well
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # base installation's plugins
     }
     command = [os.path.realpath(sys.executable), *arguments]
     return subprocess.run(command, cwd=copy, env=variables).returncode == 0

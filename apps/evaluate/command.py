@@ -1,4 +1,4 @@
-"""``glsplat evaluate``: compare methods of making avatars over participants; the tables of the paper."""
+"""``glsplat evaluate``: compare methods of making avatars over participants; write the paper's tables."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from .timing import timed
 
 HELP = (
     "Make every method's avatar of every participant, drive all by the same head and hands and by the true pose, "
-    "compare with the participants' own meshes, and write evaluation.html (opens offline) and evaluation.json. What "
-    "the folder holds already is not made again."
+    "compare with the participants' own meshes, and write evaluation.html (opens offline) and evaluation.json. "
+    "Results that are in the folder are reused."
 )
 EXAMPLE = "glsplat evaluate --quick -o out/evaluation"
 
@@ -44,8 +44,8 @@ _QUICK_TASKS = ("waving", "turning")
 _QUICK_VIEWS = ("front", "back")
 _QUICK_PEOPLE = 4
 _QUICK_SIZE = 256
-_WORKER = 1.6e9  # bytes that a process takes at most
-# a container's own limit, as it sees it: of cgroups' second version, and of the first
+_WORKER = 1.6e9  # bytes of memory of one process, at most
+# a container's memory limit: cgroups v2, v1
 _LIMITS = "/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"
 
 
@@ -61,24 +61,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--methods",
         default=",".join(OWN),
         help="names, separated by commas: %(default)s (the default), other packages', or NAME=FOLDER with a "
-        "file (.glb, .ply, ...) a participant",
+        "file (.glb, .ply, ...) per participant",
     )
     parser.add_argument("--only", help="participants, separated by commas (default: all)")
     parser.add_argument(
-        "--poses", help=f"some of: {', '.join(TASKS)}; or a motion, of which 8 moments are taken (default: all tasks)"
+        "--poses", help=f"some of: {', '.join(TASKS)}; or a motion, compared at 8 moments (default: all tasks)"
     )
     parser.add_argument("--views", help=f"sides to compare, some of {', '.join(VIEWS)} (default: all)")
-    parser.add_argument("--size", type=int, help="pixels a side of an eye's picture (default 512; 256 with --quick)")
+    parser.add_argument("--size", type=int, help="side of an eye's picture in pixels (default 512; 256 with --quick)")
     parser.add_argument(
         "--light",
         choices=LIGHTS,
         default=LIGHTS[0],
-        help="the truth is in its own colours (default), or lit as in the photograph",
+        help="draw the truth in its own colours (default), or lit as in the photograph",
     )
     parser.add_argument("--measure", help=f"further measures: {', '.join(EXTRA_MEASURES)}")
-    parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small: a look")
+    parser.add_argument("--quick", action="store_true", help="four participants, two poses, two sides, small pictures")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same table (default 0)")
-    parser.add_argument("--jobs", type=whole(1, 256), help="processes (default: one a core, as memory allows)")
+    parser.add_argument("--jobs", type=whole(1, 256), help="processes (default: one per core, as memory allows)")
     add_ray(parser, "participants")
     parser.add_argument("--no-timing", action="store_true", help="leave out table 2 and the latency table")
     parser.add_argument(
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     jobs = _jobs(args)
     check_ready(tuple(methods), protocol)
     make_folder(args.output)
-    with locked(args.output / "lock"):  # of two runs in one folder, each would read what the other half wrote
+    with locked(args.output / "lock"):  # a second run would read half-written files
         return _run(args, methods, people, protocol, jobs)
 
 
@@ -110,12 +110,12 @@ def _run(
 ) -> int:
     options = {"seed": args.seed, "quick": args.quick}
     began = time.perf_counter()
-    out = args.output if args.ray is None else args.output.resolve()  # on whatever machine
+    out = args.output if args.ray is None else args.output.resolve()  # workers have other working folders
     results = _results([Task(one, methods, protocol, out, options) for one in people], jobs, args.ray)
     drawn = plots(results, tuple(methods), args.seed)
     found = outcome(results, tuple(methods), people, protocol, options, {})
     found["seconds"] = round(time.perf_counter() - began, 1)
-    _write(found, drawn, args.output)  # before the timing: a table is worth more than no table
+    _write(found, drawn, args.output)  # the timing may fail
     print(*table_lines(found), sep="\n", flush=True)
     if not args.no_timing:
         try:
@@ -155,7 +155,7 @@ def _results(tasks: Sequence[Task], jobs: int, ray: str | None) -> list[Result]:
                 place = [task.participant.name for task in left].index(results[0].participant)
                 show(place, results[0].participant, 1.0)
             ended += 1
-            if not bar.shown:  # no terminal: a line a participant, not a bar
+            if not bar.shown:  # no terminal: one line per participant
                 passed = time.monotonic() - began
                 left_over = passed / ended * (len(left) - ended)
                 times = f"{passed / 60:.0f} min passed, about {left_over / 60:.0f} to go"
@@ -192,7 +192,7 @@ def _protocol(args: argparse.Namespace) -> Protocol:
     size = (_QUICK_SIZE if args.quick else Protocol().size) if args.size is None else args.size
     digest = ""
     if motion is not None:
-        motion_of(motion, default_avatar().skeleton, "--poses")  # better refused now than after all avatars are made
+        motion_of(motion, default_avatar().skeleton, "--poses")  # fail before all avatars are made
         file = split_choice(motion)[0]
         digest = hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
     return Protocol(
@@ -219,7 +219,7 @@ def _jobs(args: argparse.Namespace) -> int:
 
 
 def _memory() -> float:
-    """Return the bytes that processes may use: free memory, at most the container's limit; else infinity."""
+    """Return the free memory in bytes, at most the container's limit; infinity if unknown."""
     return min(_said("/proc/meminfo", "MemAvailable:") * 1024, *(_said(limit) for limit in _LIMITS))
 
 

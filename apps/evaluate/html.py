@@ -49,7 +49,7 @@ def _facts(found: Mapping[str, Any]) -> list[str]:
         f"{len(found['people'])} participants: {', '.join(found['people'])}",
         *(f"{name}: {_ROLES.get(name, 'of your own')}" for name in found["methods"]),
         f"Poses: {what}; sides: {', '.join(protocol['views'])}; both eyes, {protocol['size']}² each, the figure "
-        f"{protocol['fill']:.0%} of the picture, before black; the participants {light}",
+        f"{protocol['fill']:.0%} of the picture, on black; the participants {light}",
         f"Driver: {'; '.join(found['drivers']) or 'none'}",
         f"Machine: {found['machine']}, {found['cores']} cores",
         f"Versions: {versions}; results by glsplat {'; '.join(found['made_by']) or 'none'}; {found['date']} (UTC)"
@@ -68,9 +68,9 @@ def _table1(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> str:
         cells = [spread_text(row.get(name), name) for name in measures]
         lines.append([row["method"], *cells, f"{row['n']} of {row['of']}", *(paper.get(name, "") for name in MEASURES)])
     note = (
-        "Mean over participants of their own means, and the standard deviation between participants. The whole square "
-        "counts; box is the box around the participant. The paper's figures are of photographs of 24 other people "
-        "in poses and crops that it does not state: compare orders, not numbers."
+        "Mean and standard deviation over participants of each one's mean, over the whole square or the box around "
+        "the participant. The paper's figures are of photographs of 24 other people in poses and crops that it does "
+        "not state: compare orders, not numbers."
     )
     return table_of(heads, lines) + f"<p>{escaped(note)}</p>"
 
@@ -87,13 +87,13 @@ def _statistics(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     heads = ["measure", "first", "second", "n", "difference", "95 % interval", "effect", "p", "p, Holm"]
     out = ["<h2>Methods in pairs</h2>"]
     out.append(
-        "<p>Differences (first less second) over participants that both have: mean, its bootstrap interval, the "
-        "matched-pairs rank-biserial correlation, Wilcoxon's signed-rank test, corrected by Holm for the pairs of a "
+        "<p>Differences (first - second) over common participants: mean, its bootstrap interval, the matched-pairs "
+        "rank-biserial correlation, and Wilcoxon's signed-rank test, corrected by Holm for the pairs of a "
         "measure.</p>"
     )
     for control in CONTROLS:
         lines = []
-        shown = (*MEASURES, OVERLAP)  # all of them are in the JSON
+        shown = (*MEASURES, OVERLAP)  # the JSON has all
         for row in (row for row in rows if row["control"] == control and row["n"] and row["measure"] in shown):
             digits = 2 if row["measure"].endswith("psnr") else 4
             low, high = row["low"], row["high"]
@@ -120,7 +120,7 @@ def _along(title: str, key: str, rows: Sequence[Mapping[str, Any]]) -> list[str]
 
 
 def _parts(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    out = ["<h2>By body part</h2><p>Over the pixels that are nearest to it, where it is seen.</p>"]
+    out = ["<h2>By body part</h2><p>Over the pixels nearest to the part, in pictures that show it.</p>"]
     for control in CONTROLS:
         mine = sorted((r for r in rows if r["control"] == control), key=lambda r: _place(rows, "part", r["part"]))
         lines = [
@@ -157,9 +157,9 @@ def _timing(timing: Mapping[str, Any]) -> list[str]:
         )
     out = [
         f"<h2>Table 2: rendering time and memory ({escaped(timing['participant'])})</h2>",
-        "<p>Medians of frames that took turns on this driver, read back. The eyes of splats are one draw; those of a "
-        "mesh are drawn in turn within one call. LPIPS is of the left eye over the tasks from the front, by the true "
-        "pose. The paper's figures are of its authors' GPU.</p>",
+        "<p>Medians of interleaved frames on this driver, read back. Both eyes of splats are one draw; those of a mesh "
+        "are drawn in turn within one call. LPIPS is of the left eye from the front, over the tasks, in the true pose. "
+        "The paper's figures are of its authors' GPU.</p>",
         table_of(heads, lines),
     ]
     for latency in timing["latency"]:

@@ -14,11 +14,11 @@ from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.io.provenance import machine
 
 LOWER = ("l1", "lpips", "box_l1", "flip", "lpips-vgg")
-"""Measures that are better when they are smaller."""
+"""Measures for which smaller is better."""
 
 NAMES = {"l1": "L1", "lpips": "LPIPS", "psnr": "PSNR (dB)", "ssim": "SSIM", "flip": "FLIP", "lpips-vgg": "LPIPS, VGG"}
 NAMES |= {"box_l1": "L1, box", "box_psnr": "PSNR, box (dB)", "box_ssim": "SSIM, box", OVERLAP: "overlap"}
-"""Measures as people call them."""
+"""Display names of measures."""
 
 
 def outcome(

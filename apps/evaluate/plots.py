@@ -13,8 +13,8 @@ from glsplat.extras.evaluate.statistics import Values, summarise
 from ..figures import png_of
 
 _COLUMNS = 4
-_SPREAD = 0.16  # width of the strip of points, of the distance between two methods
-_GROUP = 0.8  # width of the bars of a group, of the distance between two groups
+_SPREAD = 0.16  # width of the strip of points, as a share of the distance between two methods
+_GROUP = 0.8  # width of a group's bars, as a share of the distance between two groups
 
 
 def methods_plot(panels: Mapping[str, Values], seed: int = 0) -> bytes:
@@ -65,7 +65,7 @@ def _strips(axes: Axes, values: Values, seed: int) -> None:
     rows = summarise(values, seed)
     people = list(dict.fromkeys(name for own in values.values() for name in own))
     aside = dict(zip(people, _SPREAD * (np.arange(len(people)) / max(len(people) - 1, 1) - 0.5), strict=True))
-    # a participant without a figure breaks its line, and does not stand in the column
+    # a missing value breaks the participant's line and has no point
     points = np.array([[own.get(name) for own in values.values()] for name in people], float)
     points = points.reshape(len(people), len(values))
     points[~np.isfinite(points)] = np.nan
@@ -100,7 +100,7 @@ def _strips(axes: Axes, values: Values, seed: int) -> None:
 
 
 def _panels(count: int, height: float, columns: int = _COLUMNS) -> tuple[Figure, list[Axes]]:
-    """Return a figure 16 inches wide with so many panels, the rest of the last line empty."""
+    """Return a figure 16 inches wide with ``count`` panels; the last row may have empty places."""
     across = max(1, min(columns, count))
     lines = max(1, -(-count // across))
     figure = Figure(figsize=(16, height * lines), layout="constrained")

@@ -11,11 +11,11 @@ from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.metrics.lpips import Lpips
 from glsplat.optional import require_package
 
-_SEEING = ("photo", "mesh-image", "mesh-video")  # methods that find a person in pictures
+_SEEING = ("photo", "mesh-image", "mesh-video")  # methods that detect a person in pictures
 
 
 def check_ready(methods: Sequence[str], protocol: Protocol) -> None:
-    """Raise GlsplatError, one line with what to type, for what is missing: better now than after the first avatar."""
+    """Raise GlsplatError with the command that installs a missing network or package, before the first avatar."""
     if any(method in _SEEING for method in methods) and any(state_of(model) != "here" for model in PHOTO.models):
         raise GlsplatError(f"the networks that read photographs are not on this machine; run: {PHOTO.command}")
     Lpips("alex")

@@ -1,4 +1,4 @@
-"""Run-time cost of the compared avatars: table 2 and the latency table of the paper, of one participant."""
+"""Run-time cost of one participant's avatars: table 2 and the latency table of the paper."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from glsplat.scene import Rigged, is_rigged
 from ..progress import Progress
 from ..replay import latency
 
-_FRAMES = 30, 4  # measured; in a quick run
+_FRAMES = 30, 4  # measured frames, in a full and a quick run
 
 
 def timed(
@@ -39,7 +39,7 @@ def timed(
     figures: dict[str, Rigged] = {}
     for method, file in files[chosen.name].items():
         loaded = load(file)
-        if is_rigged(loaded):  # as it was when it was written
+        if is_rigged(loaded):
             figures[method] = loaded
     sizes = SIZES[:1] if quick else SIZES
     frames = _FRAMES[quick]
@@ -69,7 +69,7 @@ def _files(results: Sequence[Result], one: Participant, folder: Path) -> dict[st
 
 
 def _likeness(one: Participant, figures: Mapping[str, Rigged], protocol: Protocol) -> dict[str, float]:
-    """Return the mean LPIPS over the tasks by method: from the front, in the true pose, at the protocol's size."""
+    """Return the mean LPIPS over the tasks by method, from the front, in the true pose, at the protocol's size."""
     performance = perform(one.mesh, protocol.tasks)
     network = Lpips("alex")
     found: dict[str, list[float]] = {method: [] for method in figures}

@@ -1,4 +1,4 @@
-"""``glsplat report``: error against run time, what is left out, stability in hard cases."""
+"""``glsplat report``: error against run time, cost of unused features, stability in hard cases."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "scenes",
         nargs="*",
         metavar="SCENE",
-        help=f"a {suffixes()} besides the default avatar, or a rigged person (.npz), seen as an avatar of "
-        f"{PERSON_SPLATS} splats whose truth has all joints a splat; NAME.camera.json beside NAME.ply is its view",
+        help=f"a {suffixes()} besides the default avatar (NAME.camera.json beside NAME.ply is its view), or a rigged "
+        f"person (.npz), drawn as {PERSON_SPLATS} splats and compared with the same ones without a limit of joints",
     )
     parser.add_argument(
         "--cameras",
         nargs="+",
         default=[],
         metavar="WHERE",
-        help="folders with NAME.camera.json for scenes that have none beside them, or NAME=FILE for one scene",
+        help="folders with NAME.camera.json for scenes without a camera file, or NAME=FILE for one scene",
     )
     parser.add_argument("--quick", action="store_true", help="fewer frames, smaller pictures")
-    parser.add_argument("--frames", type=whole(3, 10000), help="measured frames a setting (default 24; 8 with --quick)")
+    parser.add_argument("--frames", type=whole(3, 10000), help="measured frames of a setting (default 24; 8 if quick)")
     parser.add_argument(
-        "--size", type=whole(16, 1024), help="pixels a side of section 1 (default 256; 128 with --quick)"
+        "--size", type=whole(16, 1024), help="picture side in pixels, section 1 (default 256; 128 with --quick)"
     )
     parser.add_argument("--device", help="EGL device: index or part of its name (also GLSPLAT_DEVICE)")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/report"), help="folder (default out/report)")

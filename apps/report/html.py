@@ -11,8 +11,8 @@ from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 from ..page import document, escaped, image_of, number_of, table_of
 
 _DENSE = (
-    "Drawn with at most eight joints a splat; the truth has all joints that the corners of the nearest triangle of the "
-    "person's mesh have."
+    "Drawn with at most eight joints per splat; the reference has all joints of the nearest triangle of the person's "
+    "mesh."
 )
 
 
@@ -21,7 +21,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     failed = [row for row in result["stability"] if row["verdict"] != "holds"]
     quiet = Quiet(**result["quiet"])
     versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
-    frames = f"{result['frames']} frames a setting ({result['frames_left_out']} in section 2)"
+    frames = f"{result['frames']} frames per setting ({result['frames_left_out']} in section 2)"
     facts = [
         f"Driver: {result['driver']} ({result['backend']})",
         f"Machine: {result['machine']}, {result['cores']} cores",
@@ -112,7 +112,7 @@ def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[
         "buffers",
         "more passes",
     ]
-    names += ["bytes a splat without", "with", "pictures apart"]
+    names += ["bytes per splat without", "with", "difference of pictures"]
     still = result["unmoved"]
     rest = [["moved", still["moved_ms"]["median"], still["moved_ms"]["cpu"], " ".join(still["moved_passes"])]]
     rest.append(
@@ -137,7 +137,7 @@ def _stability(cases: Sequence[Mapping[str, Any]]) -> list[str]:
         )
     names = ["of", "case", "input", "stated behaviour", "seen", "largest error, or what was measured", "verdict"]
     classes = ["" if case["verdict"] == "holds" else "failed" for case in cases]
-    return ["<h2>3. Stability</h2><p>Every row was run for this report.</p>", table_of(names, rows, classes)]
+    return ["<h2>3. Stability</h2><p>All rows were run for this report.</p>", table_of(names, rows, classes)]
 
 
 def _bytes(sizes: Mapping[str, int], splats: int) -> str:

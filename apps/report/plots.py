@@ -15,15 +15,15 @@ _MEASURES = (("psnr", "PSNR (dB, higher is closer)"), ("flip", "FLIP (0 is equal
 _MARKERS = "osD^v<>P*hpd"
 _MARKS = {"render": "s", "serve": "o", "--fps": "D"}
 _MOST_CURVES = 10
-_FLOOR = 1e-6  # where a logarithmic axis begins
+_FLOOR = 1e-6  # lower end of a logarithmic axis
 
 
 def precision_plot(results: Sequence[dict[str, Any]]) -> bytes:
-    """Plot work and precision of one scene, a row a size: a curve a method, the Pareto fronts, the defaults marked."""
+    """Plot work against precision of one scene, one row per size: a curve per method, Pareto fronts, and defaults."""
     figure = Figure(figsize=(15, 5.2 * len(results)), layout="constrained")
     for line, result in zip(figure.subplots(len(results), 3, squeeze=False), results, strict=True):
         for axes, (key, label) in zip(line, _MEASURES, strict=True):
-            if all(row[key] is None for row in result["rows"]):  # no weights of LPIPS, or a picture too small for it
+            if all(row[key] is None for row in result["rows"]):  # no LPIPS weights, or a picture below its minimum
                 axes.set_axis_off()
                 continue
             _precision(axes, result["rows"], key)
@@ -42,7 +42,7 @@ def precision_plot(results: Sequence[dict[str, Any]]) -> bytes:
 
 
 def _precision(axes: Axes, rows: Sequence[dict[str, Any]], key: str) -> None:
-    """Draw the rows that have a measure: curves of methods with several rows, the others grey; fronts; marks."""
+    """Draw the rows with a measure: methods with several rows as curves, others in grey, then fronts and defaults."""
     logarithmic = key != "psnr"
 
     def value(row: dict[str, Any]) -> float:
@@ -59,7 +59,7 @@ def _precision(axes: Axes, rows: Sequence[dict[str, Any]], key: str) -> None:
         colour, label = ("0.45", None) if few else (f"C{index % 10}", method)
         x, spread = [r["ms"] for r in own], [[r["ms"] - r["low"] for r in own], [r["high"] - r["ms"] for r in own]]
         marker = "x" if sent else _MARKERS[index % len(_MARKERS)]
-        joined = "none" if few or sent else "-"  # a JPEG's rows are of several drawn ways
+        joined = "none" if few or sent else "-"  # rows of a JPEG come from several pictures
         axes.errorbar(x, [value(r) for r in own], xerr=spread, marker=marker, linestyle=joined, linewidth=0.8,
                       elinewidth=0.4, markersize=4, color=colour, label=label)  # fmt: skip
     for sent, name in ((False, "front, drawn"), (True, "front, as JPEG")):
@@ -81,7 +81,7 @@ def left_out_plot(rows: Sequence[dict[str, Any]]) -> bytes:
     axes = figure.subplots()
     drawn = axes.barh([row["feature"] for row in rows], [row["cost"] for row in rows], color="C0")
     axes.axvline(1, color="0.3", linewidth=0.8)
-    paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}  # the line at 1 does not run through a number
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}  # keep the line at 1 off the numbers
     axes.bar_label(drawn, fmt="%.2f x", fontsize=8, padding=4, bbox=paper)
     axes.invert_yaxis()
     axes.set(xlabel="frame with the feature present but unused / frame without it")

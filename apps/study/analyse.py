@@ -1,4 +1,4 @@
-"""``glsplat study analyse``: analyse a tidy table: F tests, contrasts, a text, boxplots and a script for R."""
+"""``glsplat study analyse``: analyse a tidy table by F tests and contrasts; write a text, boxplots and an R script."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EXAMPLE = "glsplat study analyse export/scores.csv -o results/"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("table", metavar="TABLE.csv", help="a row a participant and condition; as export writes it")
+    parser.add_argument("table", metavar="TABLE.csv", help="one row per participant and condition, as export writes it")
     parser.add_argument(
         "-o",
         "--output",
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--measure",
         action="append",
         metavar="NAME",
-        help="of the column measure; several times for several; default: all",
+        help="value of the column measure; may be given several times (default: all)",
     )
     parser.add_argument("--items", metavar="A,B,C", help="columns of a scale's items, for Cronbach's alpha and omega")
     parser.add_argument(
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="rm: repeated-measures ANOVA of complete participants; mixed: a mixed model of all answers; "
         "auto: rm where the design is balanced (default)",
     )
-    parser.add_argument("--seed", type=natural, default=0, help="of the bootstrap intervals")
+    parser.add_argument("--seed", type=natural, default=0, help="seed of the bootstrap intervals")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -118,7 +118,7 @@ def _folder(name: str) -> Path:
 
 
 def _measures(path: Path, given: list[str] | None, factors: list[str]) -> tuple[list[str | None], bool]:
-    """Return the requested measures, else all of the conditions, and whether a column has the measure."""
+    """Return the requested measures, else all asked in conditions, and whether there is a column "measure"."""
     found: dict[str, None] = {}
     outside: set[str] = set()
     for _, row in read_rows(path):
@@ -143,7 +143,7 @@ def _measures(path: Path, given: list[str] | None, factors: list[str]) -> tuple[
 def _scales(
     path: Path, items: str | None, book: Codebook | None, analyses: Sequence[Analysis]
 ) -> Iterator[tuple[str, Reliability]]:
-    """Return the reliability of each response with known items."""
+    """Yield the reliability of each response with known items."""
     if items:
         yield analyses[0].table.response, reliability(wide_items(path, column_names(items)))
         return

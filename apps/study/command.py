@@ -24,7 +24,7 @@ from ..progress import Progress
 from ..usage import CommandParser, UsageError
 from .files import avatar_files, data_of
 
-HELP = "A user study: check its design, write the plan, lead participants through, export tidy tables."
+HELP = "A user study: check its design, write the plan, run its sessions, export tidy tables."
 EXAMPLE = "glsplat study plan study.toml"
 
 _SUBCOMMANDS = {
@@ -40,9 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommands."""
     commands = parser.add_subparsers(dest="task", required=True, metavar="TASK", parser_class=CommandParser)
 
-    command = commands.add_parser(
-        "new", help="make a folder with a study that runs, and the instruments, to begin from"
-    )
+    command = commands.add_parser("new", help="make a folder with an example study and the instruments")
     command.add_argument("folder", type=Path, metavar="FOLDER", help="folder to make; existing files stay")
     command.add_argument("--paper", action="store_true", help="the paper's study, which lacks texts and avatars")
     command.set_defaults(work=new)
@@ -62,12 +60,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_study(command)
     command.add_argument("participant", type=int, metavar="N", help="the participant's number, from 1")
-    command.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTIONS", help="of glsplat serve")
+    command.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTIONS", help="options of glsplat serve")
     command.set_defaults(work=run_study)
 
     command = commands.add_parser("export", help="write CSV tables with codebooks")
     _add_study(command)
-    command.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="of the tables")
+    command.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for the tables")
     command.set_defaults(work=run_export)
 
     command = commands.add_parser("delete", help="delete all data of one participant")
@@ -120,13 +118,13 @@ def check(args: argparse.Namespace) -> int:
     print(f"{study.title}: {study.participants} participants, {len(study.conditions)} conditions")
     for factor in study.factors:
         print(f"  {factor.name} ({'between' if factor.between else 'within'}): {', '.join(factor.levels)}")
-    print(f"  {len(study.tasks)} tasks and {asked} items a condition; {minutes:.0f} min of tasks in all")
+    print(f"  {len(study.tasks)} tasks and {asked} items per condition; {minutes:.0f} min of tasks in all")
     rows = cycle(study)
     if study.participants % rows:
-        print(f"  not balanced: {study.participants} participants are no multiple of {rows}, the rows of its square")
+        print(f"  not balanced: {study.participants} participants are no multiple of {rows} (Latin square)")
     groups = math.prod(len(factor.levels) for factor in study.factors if factor.between)
     if study.participants % groups:
-        print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups between them")
+        print(f"  not balanced: {study.participants} participants are no multiple of {groups}, the groups")
     elif groups > 1 and rows > 1 and study.participants % (rows * groups):
         print(f"  balanced over all participants, not within each group: that takes a multiple of {rows * groups}")
     cells = [
@@ -164,7 +162,7 @@ def plan(args: argparse.Namespace) -> int:
 
 
 def run_study(args: argparse.Namespace) -> int:
-    """Run ``glsplat serve`` for one participant, with the flags of serve behind the number."""
+    """Run ``glsplat serve`` for one participant; its options follow the number."""
     from ..serve import command as serve
     from ..serve.options import parsed
 

@@ -31,28 +31,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="F=A,B",
-        help="a factor and its levels; everybody has all of them",
+        help="a factor and its levels; each participant has all levels",
     )
     parser.add_argument(
-        "--between", action="append", default=[], metavar="F=A,B", help="each participant has one of them"
+        "--between", action="append", default=[], metavar="F=A,B", help="a factor; each participant has one level"
     )
     parser.add_argument(
-        "--participants", type=natural, metavar="N", help="in all; several numbers are tried one by one", nargs="+"
+        "--participants", type=natural, metavar="N", help="total; several numbers are simulated in turn", nargs="+"
     )
     parser.add_argument(
         "--effect",
         action="append",
         default=[],
         metavar="F=D",
-        help="largest difference in standard deviations, or one number a condition: type=0.4, method=0.3,0,-0.3; "
-        "of an interaction, type:method=0.5",
+        help="largest difference in standard deviations (type=0.4; an interaction: type:method=0.5), or one number "
+        "per condition (method=0.3,0,-0.3)",
     )
     parser.add_argument("--correlation", type=float, default=0.5, help="of two answers of a participant (default 0.5)")
     parser.add_argument("--points", type=natural, help="points of the rating scale (default: continuous)")
     parser.add_argument("--pilot", metavar="TABLE.csv", help="draw participants from a pilot's table instead")
-    parser.add_argument("--factors", metavar="A,B", help="of the pilot (default: those of its sidecar)")
-    parser.add_argument("--response", default="value", metavar="COLUMN", help="of the pilot (default: value)")
-    parser.add_argument("--measure", metavar="NAME", help="of the pilot")
+    parser.add_argument("--factors", metavar="A,B", help="factors of the pilot (default: those of its sidecar)")
+    parser.add_argument("--response", default="value", metavar="COLUMN", help="answers of the pilot (default: value)")
+    parser.add_argument("--measure", metavar="NAME", help="measure of the pilot")
     parser.add_argument("--runs", type=natural, default=1000, help="simulated studies (default 1000)")
     parser.add_argument("--alpha", type=float, default=0.05, help="default 0.05")
     parser.add_argument("--seed", type=natural, default=0)

@@ -1,4 +1,4 @@
-"""The analysis as a script for R, with ARTool, emmeans and psych, as an independent check."""
+"""Write the analysis as a script for R, with ARTool, emmeans and psych, as an independent check."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _measure(analysis: Analysis, participant: str, response: str, long: bool) ->
         lines.append("# groups differ in size: ARTool's tests of aov are type I, ours type III (car's Anova)")
     if len(names) > 3:
         lines.append(
-            "# look at summary(m): of 4 factors, ARTool aligns interactions of three also for those of the fourth"
+            "# look at summary(m): with 4 factors, ARTool also aligns interactions of three for those of the fourth"
         )
     lines += [
         f"m <- art(answer ~ {' * '.join(names)}{_error(model.kind, inside)}, data = d)",
@@ -64,7 +64,7 @@ def _measure(analysis: Analysis, participant: str, response: str, long: bool) ->
 
 
 def _contrasts(names: list[str], chosen: tuple[int, ...], inside: list[str], kind: str) -> list[str]:
-    """Return ART-C in full: the factors of the effect become one, also in the error strata."""
+    """Return the ART-C contrasts of an effect, with its factors joined into one, also in the error strata."""
     own = [names[i] for i in chosen]
     if len(own) == 1:
         return [f'print(art.con(m, "{own[0]}", adjust = "holm"))']
@@ -74,7 +74,7 @@ def _contrasts(names: list[str], chosen: tuple[int, ...], inside: list[str], kin
     if set(own) <= set(inside):
         strata = [joint, *strata]
     elif set(own) & set(inside):
-        kind = "mixed"  # across strata emmeans of aov is biased; lmer's is what ours comes to in a balanced design
+        kind = "mixed"  # emmeans of aov is biased across strata; lmer equals our contrasts in balanced designs
     error = _error(kind, strata, person=bool(inside))
     return [
         f'd${joint} <- interaction({", ".join(f"d${name}" for name in own)}, sep = ",", lex.order = TRUE)',

@@ -56,7 +56,7 @@ def _design(analysis: Analysis) -> str:
         how = (
             f"participants without every condition were left out ({', '.join(model.left_out)})"
             if model.left_out
-            else "the mixed model uses all answers that there are, which is sound where gaps depend on known ones alone"
+            else "the mixed model uses all given answers, which is valid if gaps depend only on given answers"
         )
         lines.append(f"{gone} {'is' if analysis.unanswered == 1 else 'are'} missing; {how}.")
     else:
@@ -79,13 +79,13 @@ def _design(analysis: Analysis) -> str:
     if analysis.effects[0].p_spread is not None:
         known = len({*analysis.table.values.tolist()})
         lines.append(
-            f"Answers take {known} values only; on coarse scales ART finds effects that are not there (Luepsen, 2017), "
-            "so F is given with ties spread, too, and an effect counts as significant where both are."
+            f"Answers take {known} values only; on coarse scales ART finds effects that do not exist (Luepsen, 2017), "
+            "so F is also given with ties spread, and an effect counts as significant only if both are."
         )
     if analysis.stray_f > 0:
         lines.append(
-            f"The design is not balanced: after alignment, other effects are left with F up to {analysis.stray_f:.2f} "
-            "(0 in a balanced design), and the transform is the less exact the larger that is."
+            f"The design is not balanced: after alignment, other effects still have F up to {analysis.stray_f:.2f} "
+            "(0 in a balanced design); the larger it is, the less exact is the transform."
         )
     return " ".join(lines)
 
@@ -103,7 +103,7 @@ def _scale(scale: Reliability) -> str:
     if scale.omega is not None:
         words += f", McDonald's omega {_share(scale.omega)} (one factor, maximum likelihood)"
     if scale.at_bound:
-        words += "; the factor explains an item wholly, so omega is not to be trusted"
+        words += "; the factor explains an item completely, so omega is unreliable"
     if scale.left_out:
         words += f"; {_count(scale.left_out, 'row')} with a gap left out"
     return words + "."
@@ -115,7 +115,7 @@ def _tests(analysis: Analysis) -> str:
         kind = "interaction of " if ":" in row.effect else "effect of "
         name = _and(row.effect.split(":"))
         if math.isnan(row.f):
-            sentences.append(f"For the {kind}{name}, nothing varies that could be tested.")
+            sentences.append(f"The {kind}{name} could not be tested: nothing varies.")
             continue
         found = "There was a significant" if row.clear else "There was no significant"
         corrected = f" (Greenhouse-Geisser {_p(row.p_corrected)})" if row.p_corrected is not None else ""
@@ -130,12 +130,12 @@ def _tests(analysis: Analysis) -> str:
 
 
 def _spread(row: EffectRow) -> str:
-    """Return the text about the effect after spreading ties."""
+    """Return the words on the effect with ties spread; "" if it was not tested so."""
     if row.p_spread is None or row.f_spread is None or math.isnan(row.f_spread):
         return ""
     said = f"; with ties spread, F = {row.f_spread:.2f}, {_p(row.p_spread)}"
     coarse = row.p < ALPHA and not row.clear
-    return said + (", so what ART alone finds here may be the coarse scale's doing" if coarse else "")
+    return said + (", so the effect may be an artefact of the coarse scale" if coarse else "")
 
 
 def _differences(own: Sequence[Contrast]) -> str:
@@ -234,7 +234,7 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a name of a file as a table cell, without line breaks and column separators."""
+    """Return text as a table cell, without line breaks and column separators."""
     return " ".join(text.replace("|", "\\|").replace("<", "&lt;").split())
 
 

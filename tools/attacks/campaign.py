@@ -1,8 +1,8 @@
-"""The campaign, by hand: ``python -m tools.attacks.campaign`` prints a table of what a good client sees.
+"""Attack a server, by hand: ``python -m tools.attacks.campaign`` prints a table of what a good client gets.
 
-For each attack a real ``glsplat serve`` of its own, with default options: the good client alone, then under attack, and
-that several times over; ratios of the phases that follow each other, and their median. Attackers and client run on the
-server's machine, so the attackers keep their own work small.
+Each attack has its own ``glsplat serve`` with default options. Phases of the good client alone and under attack
+alternate; the table has the median of the ratios of consecutive phases. Attackers and client run on the server's
+machine, so the attackers do little work.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ HEAD = (
     "|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
-SIZE, HERTZ = 128, 3.0  # pixels an eye of the good client, and its pace
-WARM_UP_S, QUIET_S = 1.5, 2.0  # before anything counts; undisturbed, before and after each attack
+SIZE, HERTZ = 128, 3.0  # of the good client: pixels per eye and requests per second
+WARM_UP_S, QUIET_S = 1.5, 2.0  # before the first phase; of a phase without attack
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Outcome:
     """One row of the table."""
 
     attack: str
-    quiet: list[Service]  # undisturbed, one more than attacked: the last is what is left afterwards
+    quiet: list[Service]  # without attack, before each attack and after the last
     attacked: list[Service]
     rss: tuple[float, float]  # MB of server and renderer, before and after
     alive: bool
@@ -43,14 +43,14 @@ class Outcome:
     @property
     def ratios(self) -> tuple[float, float]:
         """Rate and age under attack to those of the quiet phase before; medians over the rounds."""
-        first = self.quiet[0]  # instead of a phase that was not quiet: the server had not got over the attack before it
+        first = self.quiet[0]  # replaces phases in which the server had not recovered yet
         calm = [phase if phase.rate >= 0.7 * first.rate else first for phase in self.quiet]
         pairs = [hit.against(base) for base, hit in zip(calm, self.attacked, strict=False)]
         return median(rate for rate, _ in pairs), median(age for _, age in pairs)
 
     @property
     def held(self) -> bool:
-        """The promise: 70 % of the pictures at no more than twice their age, and a server that lives."""
+        """Whether the server lives and sends at least 70 % of the pictures at no more than twice their age."""
         rate, age = self.ratios
         return self.alive and rate >= 0.7 and age <= 2.0
 
@@ -74,9 +74,9 @@ async def measure(
     connections: int,
     seconds: float,
     good: str,
-    datagrams: bool,  # the good client has its pictures by them
+    datagrams: bool,  # send the good client's pictures by datagrams
 ) -> Outcome:
-    """One attack on a running server, once from each of ``sources``, with quiet phases before, between and after."""
+    """Run one attack from each of ``sources`` in turn, with quiet phases before, between and after."""
     client = GoodClient(server.target.to(good), SIZE, HERTZ, datagrams=datagrams)
     running = asyncio.create_task(client.run())
     try:
@@ -84,7 +84,7 @@ async def measure(
         while datagrams and not client.by_datagrams:
             await asyncio.sleep(0.1)
         calm: list[Service] = []
-        for _ in range(5):  # a machine with other work may have a bad second, which nothing could be compared with
+        for _ in range(5):  # other load may spoil the first quiet phase
             calm = [await client.over(QUIET_S)]
             if calm[0].rate >= 0.8 * HERTZ:
                 break
@@ -112,24 +112,24 @@ async def measure(
 
 
 def addresses(source: str, rounds: int) -> list[str]:
-    """Where each round comes from: another address each time, because an address may have been held off meanwhile."""
+    """Return a different source address for each round, as the server may have blocked the last one."""
     base, _, last = source.rstrip("+").rpartition(".")
     step = 16 if source.endswith("+") else 1
     return [f"{base}.{int(last) + step * i}{'+' if step > 1 else ''}" for i in range(rounds)]
 
 
 def main() -> None:
-    """The command line."""
+    """Run the attacks named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("names", nargs="*", help="attacks; default: each alone, then all at once")
     parser.add_argument("--source", default="127.0.0.3", help="the attackers' address; 127.0.0.10+ gives each its own")
-    parser.add_argument("--connections", type=int, default=4, help="hostile ones for each attack (16 for all at once)")
+    parser.add_argument("--connections", type=int, default=4, help="connections of each attack (16 for all at once)")
     parser.add_argument("--good", default="127.0.0.2", help="the good client's address")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=3.0, help="under attack in a round; twice that all at once")
-    parser.add_argument("--datagrams", action="store_true", help="the good client has its pictures by them, 127.0.0.1")
-    parser.add_argument("--files", type=int, help="descriptors the server may have")
-    parser.add_argument("--options", default="", help="further ones of glsplat serve, name=value for those of its file")
+    parser.add_argument("--seconds", type=float, default=3.0, help="of an attack in a round; doubled for all at once")
+    parser.add_argument("--datagrams", action="store_true", help="use datagrams for the good client (127.0.0.1)")
+    parser.add_argument("--files", type=int, help="limit of the server's file descriptors")
+    parser.add_argument("--options", default="", help="options of glsplat serve, name=value for those of its file")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # which ends the server, too
     names = args.names or [*ATTACKS, EVERYTHING]
@@ -137,7 +137,7 @@ def main() -> None:
         parser.error(f"{unknown[0]!r} is none of {', '.join([*ATTACKS, EVERYTHING])}")
     options = args.options.split()
     if args.datagrams:
-        args.good = "127.0.0.1"  # which is where its QUIC comes from
+        args.good = "127.0.0.1"  # source address of its QUIC
         options.append("webtransport=true")
     same = args.source == args.good
     for name in names:

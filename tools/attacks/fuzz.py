@@ -1,4 +1,4 @@
-"""The fuzzers of tests/net/attacks over longer runs.
+"""Run the fuzzers of tests/net/attacks for longer.
 
 python -m tools.attacks.fuzz messages 1000000
 python -m tools.attacks.fuzz bytes 100000
@@ -14,15 +14,15 @@ from tests.net.attacks.victim import victim
 
 
 def messages(number: int, seed: int) -> None:
-    """Through decoder and session: what came of them, and each fault with its message."""
+    """Send fuzzed messages through decoder and session; print outcomes and each fault with its message."""
     findings = fuzz(number, seed)
     print(*findings.faults, findings, sep="\n")
 
 
 def streams(number: int, seed: int) -> None:
-    """At the port of a server of its own: what it answered, its memory, the first traceback of its log."""
+    """Send fuzzed bytes to a server; print its answers, its memory and the first traceback of its log."""
     with victim("--size", "64x64") as server:
-        send(server, number // 20, seed + 1)  # what is made once is made now
+        send(server, number // 20, seed + 1)  # warm up before measuring memory
         early = server.rss()
         sent = send(server, number, seed)
         late, alive, log = server.rss(), server.alive(), server.log

@@ -1,1 +1,1 @@
-"""What made embedded data."""
+"""Make embedded data."""

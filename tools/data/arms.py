@@ -1,9 +1,9 @@
-"""Makes the mixture of how people hold their arms (glsplat/extras/authoring/fit/arm_mixture.json) from captured motion.
+"""Make the mixture of standing arm poses (glsplat/extras/authoring/fit/arm_mixture.json) from captured motion.
 
     python -m tools.data.arms FOLDER OUT.json
 
-FOLDER holds the packs cmu_SUBJECT_CLIP.npz. Frames are taken in which somebody stands upright on both feet with legs
-that are nearly straight, four a second at most, and of them both arms as left ones. No clip is written.
+FOLDER holds the packs cmu_SUBJECT_CLIP.npz. At most four frames per second are used in which somebody stands upright on
+both feet with nearly straight legs; right arms are mirrored. No clip is written.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ CREDIT = (
     "The database was created with funding from NSF EIA-0196217."
 )
 HELD_BACK = ("08", "14", "61", "94", "135")
-"""Subjects that nothing is learned from, for tests of what is learned."""
+"""Subjects held back from learning, for tests."""
 
 KINDS = 8
-RATE = 4.0  # frames a second
+RATE = 4.0  # frames per second
 UPRIGHT, STRAIGHT, LEVEL, FLOOR = 0.94, 0.96, 0.06, 0.16  # cosine, share of the leg's length, metres, metres
-MOST = 60  # frames of one clip: nobody else may count as much as the one who moves for a minute
-OTHERS, WIDER = 0.3, 1.5  # share of people who stand otherwise, and their variance in those of the pack
-WIDEN = 0.12  # radians added to each component's own spread: people are more various than the pack
+MOST = 60  # frames of one clip, so that long clips do not dominate
+OTHERS, WIDER = 0.3, 1.5  # share of people who stand otherwise, and their variance relative to the pack's
+WIDEN = 0.12  # radians added to each component's deviation: people vary more than the pack
 
 
 def arms_of(path: Path) -> F64:
-    """[N, 4] how a clip's people hold their arms while they stand; see ``ArmMixture``."""
+    """Return the arm poses [N, 4] of a clip's standing people; see ``ArmMixture``."""
     with np.load(path) as data:
         pack = {key: data[key] for key in data.files}
     names = [str(name) for name in pack["joint_names"]]
@@ -68,7 +68,7 @@ def arms_of(path: Path) -> F64:
 
 
 def _global(quats: F64, parents: NDArray[np.int64]) -> F64:
-    """[T, J, 3, 3] of local turns wxyz [T, J, 4]; parents may come after their children."""
+    """Return global rotations [T, J, 3, 3] of local ones, wxyz [T, J, 4]; parents may come after their children."""
     local = quaternion_matrices(quats / np.linalg.norm(quats, axis=-1, keepdims=True))
     out: dict[int, F64] = {-1: np.broadcast_to(np.eye(3), (len(local), 3, 3))}
 
@@ -81,10 +81,10 @@ def _global(quats: F64, parents: NDArray[np.int64]) -> F64:
 
 
 def learned(arms: F64, kinds: int = KINDS, seed: int = 0, steps: int = 200) -> ArmMixture:
-    """A mixture of ``kinds`` Gaussians of arms [N, 4], by expectation and maximisation from seeded starts."""
+    """Return a mixture of ``kinds`` Gaussians fitted to arms [N, 4] by expectation maximisation from seeded starts."""
     rng = np.random.default_rng(seed)
     means = arms[rng.choice(len(arms), 1)]
-    while len(means) < kinds:  # far from each other to begin with
+    while len(means) < kinds:  # start far from each other
         away = ((arms[:, None] - means) ** 2).sum(-1).min(axis=1)
         means = np.concatenate([means, arms[rng.choice(len(arms), 1, p=away / away.sum())]])
     own = np.eye(arms.shape[1]) * WIDEN**2
@@ -101,7 +101,7 @@ def learned(arms: F64, kinds: int = KINDS, seed: int = 0, steps: int = 200) -> A
 
 
 def with_others(mixture: ArmMixture, share: float = OTHERS, grow: float = WIDER) -> ArmMixture:
-    """The mixture with one kind more, as wide as all of it: hands on hips are hardly in the pack."""
+    """Return the mixture with one more Gaussian as wide as all: the pack has hardly any hands on hips."""
     mean = mixture.shares @ mixture.means
     off = mixture.means - mean
     spread = np.einsum("k,kij->ij", mixture.shares, mixture.covariances + off[:, :, None] * off[:, None])
@@ -112,7 +112,7 @@ def with_others(mixture: ArmMixture, share: float = OTHERS, grow: float = WIDER)
 
 
 def write_mixture(mixture: ArmMixture, path: Path, made_from: str) -> None:
-    """As JSON, most usual first."""
+    """Write the mixture as JSON, the most frequent Gaussian first."""
     kinds = [
         {
             "share": round(float(mixture.shares[k]), 4),

@@ -1,4 +1,4 @@
-"""Makes the motions that come with glsplat from joint-angle curves: idle, walk (on the spot), wave-and-turn.
+"""Make the embedded motions from joint-angle curves: idle, walk (on the spot), wave-and-turn.
 
 python -m tools.data.motions
 """
@@ -30,12 +30,12 @@ _ANKLE = ((0.0, 0), (0.07, -5), (0.3, 6), (0.45, 10), (0.62, -16), (0.75, -2), (
 
 
 def library(skeleton: Skeleton) -> dict[str, Motion]:
-    """Name -> motion, looping; ``skeleton`` (SMPL-X) decides how high the pelvis is above the floor."""
+    """Return looping motions by name; ``skeleton`` (SMPL-X) gives the height of the pelvis above the floor."""
     return {"idle": _idle(), "walk": _walk(skeleton), "wave-and-turn": _wave_and_turn()}
 
 
 def to_json(motion: Motion, skeleton: Skeleton) -> str:
-    """{"fps", "joints", "frames"}: the body it was made for; poses without the keys that stay zero, angles to 1e-4."""
+    """Return JSON with fps, joints (of the body) and frames: poses without keys that stay zero, rounded to 1e-4."""
     moving = {key: joints for key, joints in POSE_KEYS.items() if np.abs(motion.rotations[:, joints]).max() > 5e-5}
     frames = []
     for rotations, trans in zip(motion.rotations, motion.trans, strict=True):
@@ -54,7 +54,7 @@ def _rounded(values: F64) -> list[float]:
 
 
 def _base(frames: int, joints: Mapping[str, Rotation]) -> dict[str, Rotation]:
-    """Arms hanging, elbows and fingers a little bent, for all frames; ``joints`` on top."""
+    """Return ``joints`` over a base pose: hanging arms, slightly bent elbows and fingers."""
     out: dict[str, Rotation] = {}
     for side, sign in _SIDES:
         out[f"{side}_collar"] = _about("z", -0.08 * sign)
@@ -82,14 +82,14 @@ def _motion(frames: int, joints: Mapping[str, Rotation], trans: F64) -> Motion:
 
 
 def _idle(seconds: float = 6.0) -> Motion:
-    """Standing: breath, a slow shift of weight with the feet in place, the head looking about."""
+    """Return a standing motion: breath, a slow shift of weight with the feet in place, and a moving head."""
     frames = round(seconds * FPS)
     joints, trans = _standing(2 * np.pi * np.arange(frames) / frames)
     return _motion(frames, _base(frames, joints), trans)
 
 
 def _standing(turn: F64) -> tuple[dict[str, Rotation], F64]:
-    breath = np.sin(2 * turn)  # two breaths a round
+    breath = np.sin(2 * turn)  # two breaths per loop
     sway = 0.012 * np.sin(turn)  # metres
     trans = np.stack([sway, 0.0012 * np.cos(2 * turn) - 0.0012, 0.004 * np.sin(turn + 1)], axis=1)
     lean = np.arctan2(sway, 0.9)  # legs of about 0.9 m keep the feet where they are
@@ -111,7 +111,7 @@ def _standing(turn: F64) -> tuple[dict[str, Rotation], F64]:
 
 
 def _curve(knots: tuple[tuple[float, float], ...], phase: F64) -> F64:
-    """Radians of a periodic curve through knots given in degrees."""
+    """Return the radians of a periodic curve through (phase, degrees) knots."""
     at, angle = np.array([*knots, (1.0, knots[0][1])]).T
     return np.radians(CubicSpline(at, angle, bc_type="periodic")(phase % 1.0))
 
@@ -143,7 +143,7 @@ def _walk(skeleton: Skeleton, cycle: float = 1.1) -> Motion:
 
 
 def _planted(motion: Motion, skeleton: Skeleton) -> F64:
-    """Translations that put the lower foot on the floor in each frame, smoothed round the loop."""
+    """Return translations [T, 3] that put the lower foot on the floor in each frame, smoothed over the loop."""
     feet = [_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("ankle", "foot")]
     rest = skeleton.joints[feet, 1]
     height = np.array([(skeleton.forward(r)[feet, 1, 3] - rest).min() for r in motion.rotations])
@@ -155,7 +155,7 @@ def _planted(motion: Motion, skeleton: Skeleton) -> F64:
 
 
 def _wave_and_turn(seconds: float = 8.0) -> Motion:
-    """A greeting with the right hand, then once around with small steps."""
+    """Return a motion that waves with the right hand, then turns once around with small steps."""
     frames = round(seconds * FPS)
     time = np.arange(frames) / FPS
     joints, trans = _standing(2 * np.pi * np.arange(frames) / frames)
@@ -196,7 +196,7 @@ def _wave_and_turn(seconds: float = 8.0) -> Motion:
 
 
 def _ease(time: F64, start: float, end: float) -> F64:
-    """0 before ``start``, 1 after ``end``, smooth to the second derivative between."""
+    """Return 0 before ``start``, 1 after ``end``, and between them a curve with continuous second derivative."""
     x = np.clip((time - start) / (end - start), 0, 1)
     return x**3 * (x * (6 * x - 15) + 10)
 

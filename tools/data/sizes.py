@@ -1,11 +1,11 @@
-"""How well a user's size is found while a session runs: captured people scaled, who stand, walk, sit or crouch first.
+"""Measure how well a session finds a user's size, with scaled captured people who stand, walk, sit or crouch first.
 
     python -m tools.data.sizes PACK             # a folder of clips as in the CMU pack (cmu_SUBJECT_CLIP.npz)
 
 People keep their own proportions: eyes and wrists come from the captured skeletons. A session is 13 s of moments in
-which somebody stands or walks upright, the calmest clips first ("mid-walk": walking only). Seats and crouches before it
-are made up: eyes over a chair of 45 cm (sitting eye height is 45 % of the stature), hands on the lap or holding
-controllers ahead, or eyes at 72 % of their height, for 4 s or 20 s.
+which somebody stands or walks upright, the calmest clips first ("mid-walk": walking only). Synthetic seats and crouches
+of 4 s or 20 s precede it: eyes over a chair of 45 cm (sitting eye height is 45 % of the stature) with hands on the lap
+or holding controllers ahead, or eyes at 72 % of their height.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ Array = NDArray[np.float64]
 RATE = 30.0  # Hz of the pack
 STARTS = {"standing": 0.0, "mid-walk": 0.0, "seated 4 s": 4.0, "seated 20 s": 20.0, "crouched 4 s": 4.0}
 SCALES = (0.8, 0.9, 1.0, 1.1)
-STOOD, ASKED, RISES = 13.0, 10.0, 0.8  # seconds of a session, of standing after which a size is asked, of getting up
+STOOD, ASKED, RISES = 13.0, 10.0, 0.8  # seconds: of a session, of standing before the measurement, of getting up
 EYES_AHEAD = 0.09  # metres from the top of the head's bone to between the eyes
-TALL, TALLEST, CHEST = 0.93, 1.08, 0.94  # of the pelvis' height, of the chest's up: who is upright
+TALL, TALLEST, CHEST = 0.93, 1.08, 0.94  # of upright people: share of the pelvis' height (two), cosine of the chest
 WALKS = 0.5  # m/s
 
 
 @dataclass(frozen=True)
 class Part:
-    """A second or more of somebody upright."""
+    """A second or more of an upright person."""
 
     pace: float  # m/s
     eyes: Array  # [T, 3] metres
@@ -49,19 +49,19 @@ class Part:
 
 @dataclass(frozen=True)
 class Person:
-    """Eyes over the ground in the zero pose, and what is known of them upright."""
+    """Eye height in the zero pose, metres, and upright moments."""
 
     eye_height: float
     parts: tuple[Part, ...]
 
     def session(self, walking: bool) -> Part | None:
-        """STOOD seconds; None where there is too little."""
+        """Return a session of up to STOOD seconds; None if there are too few moments."""
         chosen = sorted((p for p in self.parts if p.pace > WALKS or not walking), key=lambda part: part.pace)
         count, at = round(STOOD * RATE), np.zeros(3)
         if sum(len(part.eyes) for part in chosen) < (ASKED + 0.5) * RATE:
             return None
         eyes = []
-        for part in chosen:  # each goes on where the one before it ended
+        for part in chosen:  # join their paths
             eyes.append(part.eyes + (at - part.eyes[0]) * [1, 0, 1])
             at = eyes[-1][-1]
         head, hands = [np.concatenate([getattr(part, name) for part in chosen])[:count] for name in ("head", "hands")]
@@ -70,16 +70,16 @@ class Person:
 
 @dataclass(frozen=True)
 class Found:
-    """One session."""
+    """Errors of one session, as shares of the true size."""
 
     subject: str
     scale: float
-    off: float  # of the true size, after ASKED seconds upright
-    worse: float  # than without, after 3 s, at most; of the true size
+    off: float  # after ASKED seconds upright
+    worse: float  # largest error after 3 s, minus that of scale 1
 
 
 def persons(clips: Iterable[Path]) -> dict[str, Person]:
-    """Subject -> proportions and upright moments, of files cmu_SUBJECT_CLIP.npz."""
+    """Return proportions and upright moments by subject, from files cmu_SUBJECT_CLIP.npz."""
     heights: dict[str, list[float]] = defaultdict(list)
     parts: dict[str, list[Part]] = defaultdict(list)
     for path in sorted(clips):
@@ -95,7 +95,7 @@ def persons(clips: Iterable[Path]) -> dict[str, Person]:
             quaternion_matrices(quats / np.linalg.norm(quats, axis=-1, keepdims=True)), parents, offsets
         )
         ankles = [index["l_ankle"], index["r_ankle"]]
-        sole = float(np.clip(np.percentile(at[:, ankles, 1].min(1), 20), 0.06, 0.15))  # of an ankle that stands
+        sole = float(np.clip(np.percentile(at[:, ankles, 1].min(1), 20), 0.06, 0.15))  # height of a standing ankle
         eye_height = rest[index["head_top"], 1] - rest[ankles, 1].min() + sole
         heights[subject].append(eye_height)
         head = turns[:, index["head"]]
@@ -113,7 +113,7 @@ def persons(clips: Iterable[Path]) -> dict[str, Person]:
 
 
 def _forward(local: Array, parents: Array, offsets: Array) -> tuple[Array, Array]:
-    """Turns [T, J, 3, 3] in the world, and places [J, 3] in the zero pose; parents may come after children."""
+    """Return world rotations [T, J, 3, 3] and rest positions [J, 3]; parents may come after children."""
     turns, rest = np.array(local), np.zeros((len(parents), 3))
     todo = set(range(len(parents)))
     while todo:
@@ -131,7 +131,7 @@ def _runs(mask: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
 
 
 def _began(start: str, person: Person, scale: float, stood: Part, rng: np.random.Generator) -> Part:
-    """The session with its start before it, all of it scaled."""
+    """Return a scaled session that begins with ``start``, a key of STARTS."""
     seconds = STARTS[start]
     stood = Part(0.0, stood.eyes * scale, stood.head, stood.hands * scale)
     if not seconds:
@@ -152,7 +152,7 @@ def _began(start: str, person: Person, scale: float, stood: Part, rng: np.random
 
 
 def found(people: dict[str, Person]) -> dict[str, list[Found]]:
-    """Start -> what was found of everybody who has such a session, in every size."""
+    """Return results by start, of everybody who has such a session, at every scale."""
     body, rng = Body.of(default_avatar().skeleton), np.random.default_rng(0)
     out: dict[str, list[Found]] = defaultdict(list)
     for subject, person in people.items():
@@ -174,7 +174,7 @@ def found(people: dict[str, Person]) -> dict[str, list[Found]]:
 
 
 def table(results: dict[str, list[Found]]) -> str:
-    """Markdown, a line a start."""
+    """Return a Markdown table with a row per start."""
     lines = [
         "| start | sessions | within 3 % | off, median | worst | worse than without, after 3 s, by more than 1 % |",
         "|---|--:|--:|--:|--:|---|",
@@ -193,7 +193,7 @@ def table(results: dict[str, list[Found]]) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pack", type=Path)
-    parser.add_argument("--subjects", default="", metavar="REGEX", help="of these alone")
+    parser.add_argument("--subjects", default="", metavar="REGEX", help="only these subjects")
     arguments = parser.parse_args()
     wanted = [
         path for path in arguments.pack.glob("*.npz") if re.search(arguments.subjects, path.stem.rsplit("_", 1)[0])

@@ -1,4 +1,4 @@
-"""Texts that made voices say, to learn visemes from."""
+"""Texts for synthetic voices, from which visemes are learned."""
 
 LEARNED: tuple[str, ...] = (
     "The quick brown fox jumps over the lazy dog near the river bank.",

@@ -1,8 +1,8 @@
-"""Make visemes.json of extras/speech: shapes chosen by hand, and the network that hears them, learned here.
+"""Make visemes.json of extras/speech: shapes chosen by hand, and a network that is trained to recognise them.
 
     python -m tools.data.visemes            # ten minutes; needs espeak-ng and flite
 
-Voices with known phonemes say tools/data/spoken.py, through made-up microphones and noise.
+Synthetic voices with known phonemes speak tools/data/spoken.py, with simulated microphones and noise.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FRAMING = Framing(
 AHEAD = 1  # frames
 OFFSETS = tuple(offset - AHEAD for offset in (-8, -6, -4, -3, -2, -1, 0, 1))
 HIDDEN, EPOCHS, BATCH, STEP = 40, 7, 2048, 4e-3
-CLOSES = 1.6  # times as much as others, lips that should be closed and are not
+CLOSES = 1.6  # weight in the loss of frames with closed lips (PP)
 
 ESPEAK: tuple[str, ...] = (
     "en",
@@ -45,7 +45,7 @@ ESPEAK: tuple[str, ...] = (
     "en+f4",
 )
 ESPEAK += ("en-us+klatt2", "en+Andy", "en-us+Annie", "en+linda")
-FLITE = ("slt", "rms", "kal16")  # awb is left for measuring
+FLITE = ("slt", "rms", "kal16")  # awb is held out for measurements
 
 # visemes of Meta's (Oculus) lip sync, nn among DD: https://developers.meta.com/horizon/documentation/unity/
 # audio-ovrlipsync-viseme-reference
@@ -68,7 +68,7 @@ VISEMES: dict[str, dict[str, float]] = {
 }
 SIDED = ("mouthPress", "mouthUpperUp", "mouthLowerDown", "mouthStretch", "mouthSmile")
 
-# phonemes of espeak-ng (its English), then of flite (ARPAbet); of two visemes, one after the other
+# phonemes of espeak-ng (its English), then of flite (ARPAbet); _TWO has those of two visemes in turn
 _SOUNDS = {
     "sil": "_ _: pau", "PP": "m b p", "FF": "f v", "TH": "T D th dh", "DD": "t d n l t2 @L l# n- t#",
     "kk": "k g N h ng hh", "CH": "S Z tS dZ sh zh ch jh", "SS": "s z", "RR": "r er axr 3:",
@@ -84,14 +84,14 @@ VISEME_OF = {name: (viseme,) for viseme, names in _SOUNDS.items() for name in na
 
 
 def visemes_of(phoneme: str) -> tuple[str, ...]:
-    """Of a phoneme with or without what espeak-ng marks it with."""
+    """Return the visemes of a phoneme, with or without marks of espeak-ng."""
     bare = phoneme.strip("'-,%=!?")
     found = VISEME_OF.get(bare) or VISEME_OF.get(bare.rstrip("#23:")) or VISEME_OF.get(bare.rstrip("#235:@"))
     return found or ("sil" if phoneme.startswith("_") else "E",)
 
 
 def labels(said: Said, frames: int) -> NDArray[np.int64]:
-    """[frames] the viseme, by number, that each frame of ``Cepstra`` is to be heard as."""
+    """Return the true viseme, by number, of each frame of ``Cepstra``, [frames]."""
     names, out = list(VISEMES), np.zeros(frames, np.int64)
     times = (np.arange(frames) - AHEAD) * FRAMING.hop - FRAMING.window / 2
     for phoneme, begin, end in said.phonemes:
@@ -103,7 +103,7 @@ def labels(said: Said, frames: int) -> NDArray[np.int64]:
 
 
 def heard(said: Said, rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
-    """[N, offsets * coefficients] and [N]: the sentence through a microphone of its own, in a room with some noise."""
+    """Return inputs [N, offsets * coefficients] and labels [N] of a sentence with a random microphone and noise."""
     sound, rate = said.sound.samples.astype(np.float64), said.sound.rate
     if rng.random() < 0.7:
         sound = np.convolve(sound, [1, -rng.uniform(-0.5, 0.75)])[: len(sound)]
@@ -119,7 +119,7 @@ def heard(said: Said, rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]
 
 
 def examples(rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
-    """Everything that is learned from."""
+    """Return all training inputs and labels."""
     found = []
     for text in each(LEARNED, "sentences"):
         for voice in ESPEAK:
@@ -129,7 +129,7 @@ def examples(rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
 
 
 def learned(x: F32, y: NDArray[np.int64], rng: np.random.Generator) -> list[F32]:
-    """Weights and biases of both layers: cross entropy, Adam (Kingma & Ba 2015), a step that falls as a cosine."""
+    """Return weights and biases of both layers, trained by cross entropy and Adam (Kingma & Ba 2015), cosine decay."""
     mean, spread = x.mean(0), x.std(0) + 1e-3
     x = (x - mean) / spread
     sizes = (x.shape[1], HIDDEN, len(VISEMES))
@@ -166,7 +166,7 @@ def learned(x: F32, y: NDArray[np.int64], rng: np.random.Generator) -> list[F32]
 
 
 def table_of(net: list[F32]) -> dict[str, Any]:
-    """What visemes.json holds."""
+    """Return the content of visemes.json."""
 
     def rounded(array: NDArray[Any]) -> list[Any]:
         return [rounded(row) for row in array] if array.ndim > 1 else [float(f"{value:.4g}") for value in array]

@@ -1,6 +1,6 @@
-"""Made voices with the times of their phonemes: espeak-ng through its library, flite through its program.
+"""Synthetic voices with the times of phonemes: espeak-ng by its library, flite by its program.
 
-Both are programs of the system (Debian: espeak-ng, flite); nothing of glsplat and no test needs them.
+Both are system packages (Debian: espeak-ng, flite); neither glsplat nor a test needs them.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _library() -> tuple[Any, int]:
 
 
 def espeak(text: str, voice: str, words: int, pitch: int) -> Said:
-    """``words`` a minute."""
+    """Speak a text by espeak-ng, at ``words`` per minute. Raises ValueError for an unknown voice."""
     library, rate = _library()
     _heard.clear()
     _begins.clear()
@@ -85,7 +85,7 @@ def espeak(text: str, voice: str, words: int, pitch: int) -> Said:
 
 
 def flite(text: str, voice: str) -> Said:
-    """Voices that were made of recordings of people: slt, rms, awb, kal16."""
+    """Speak a text by flite, with a voice made of recordings of a person: slt, rms, awb, kal16."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "said.wav"
         command = ["flite", "-voice", voice, "-psdur", "-t", text, "-o", str(path)]

@@ -1,1 +1,1 @@
-"""What draws and measures what the docs show."""
+"""Draw and measure the pictures and tables of the docs."""

@@ -1,4 +1,4 @@
-"""Draw docs/images/precision-others.png: cost against error of what is not drawing, from tables of docs/measured."""
+"""Draw docs/images/precision-others.png: cost against error of steps besides drawing, from docs/measured."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ ABOUT = (
     "The body solver (tracking.md), size and quality of JPEGs (ladder.md), the number of splats (avatars.md) and late "
     "pictures on a plane or on their depth (more.md), drawn from the tables of those pages."
 )
-"""What the picture shows."""
+"""Caption of the picture."""
 
 Row = dict[str, str]
 
 
 def others_plot(folder: Path) -> bytes:
-    """Plot four tables of ``folder`` (docs/measured) as one PNG. Raises ValueError if one is not there."""
+    """Plot four tables of ``folder`` (docs/measured) as one PNG. Raises ValueError if one is missing."""
     figure = Figure(figsize=(15, 9), layout="constrained")
     (solver, ladder), (splats, late) = figure.subplots(2, 2)
     _solvers(solver, _rows(folder / "tracking.md", "scores"))

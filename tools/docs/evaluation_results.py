@@ -1,4 +1,4 @@
-"""Writes docs/measured/evaluation.md, whose tables docs/evaluation.md shows, of an evaluation of 24 people.
+"""Write docs/measured/evaluation.md, whose tables docs/evaluation.md shows, from an evaluation of 24 people.
 
 glsplat evaluate --participants DIR -o OUT
 python -m tools.docs.evaluation_results OUT
@@ -20,20 +20,20 @@ CONTROLS = {"tracking": "head and hands", "pose": "the true pose"}
 
 
 def text(spread: Mapping[str, Any], name: str, deviation: bool = True) -> str:
-    """A mean and its deviation, as tables have them."""
+    """Return a mean and its deviation as a table's cell."""
     digits = 1 if name == "psnr" else 3
     mean = f"{spread['mean']:.{digits}f}"
     return f"{mean} ({spread['sd']:.{digits}f})" if deviation and spread["sd"] is not None else mean
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Markdown: the first column to the left, the others to the right."""
+    """Return a Markdown table, with the first column aligned left and the others right."""
     lines = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def first(found: Mapping[str, Any]) -> str:
-    """Table 1 under both controls, and the paper's."""
+    """Return table 1 under both controls, with the paper's values."""
     rows = []
     for row in found["table1"]:
         cells = [text(row[name], name) for name in MEASURES]
@@ -48,7 +48,7 @@ def first(found: Mapping[str, Any]) -> str:
 
 
 def along(found: Mapping[str, Any], key: str, rows_of: str, names: Sequence[str]) -> str:
-    """Means by side or part, under the true pose."""
+    """Return means by side or part, under the true pose."""
     rows = [row for row in found[rows_of] if row["control"] == "pose"]
     labels = list(dict.fromkeys(row[key] for row in rows))
     by = {(row["method"], row[key]): row for row in rows}
@@ -60,7 +60,7 @@ def along(found: Mapping[str, Any], key: str, rows_of: str, names: Sequence[str]
 
 
 def pairs(found: Mapping[str, Any]) -> str:
-    """Neighbours in the expected order, compared over people, under the true pose."""
+    """Return comparisons of methods that are neighbours in the expected order, under the true pose."""
     wanted = [("photo", "mesh-image"), ("mesh-video", "photo"), ("scan", "mesh-video")]
     rows = []
     for first_, second in wanted:
@@ -85,7 +85,7 @@ def pairs(found: Mapping[str, Any]) -> str:
 
 
 def costs(found: Mapping[str, Any]) -> str:
-    """Table 2."""
+    """Return table 2."""
     rows = []
     for row in found["timing"]["costs"]:
         paper = row.get("paper", {})
@@ -101,7 +101,7 @@ def costs(found: Mapping[str, Any]) -> str:
 
 
 def made(found: Mapping[str, Any]) -> str:
-    """Seconds and megabytes an avatar, medians."""
+    """Return median seconds and megabytes per avatar."""
     rows = []
     for method in found["methods"]:
         mine = [row["product"] for row in found["participants"] if row["method"] == method and "product" in row]
@@ -111,7 +111,7 @@ def made(found: Mapping[str, Any]) -> str:
 
 
 def poses(found: Mapping[str, Any]) -> str:
-    """How much of the error is the pose: what the true pose takes off it."""
+    """Return the share of the error that the true pose removes."""
     by = {(row["method"], row["control"]): row for row in found["table1"]}
     rows = []
     for method in found["methods"]:
@@ -125,7 +125,7 @@ def poses(found: Mapping[str, Any]) -> str:
 
 
 def tables(found: Mapping[str, Any]) -> Iterator[Table]:
-    """Of the page."""
+    """Yield the page's tables."""
     yield "methods", "Mean over people and, in brackets, their standard deviation, and the paper's.", first(found)
     yield "pose", "What the true pose takes off the error of head-and-hands tracking.", poses(found)
     about = "PSNR and LPIPS of the whole square under the true pose."
@@ -143,7 +143,7 @@ def tables(found: Mapping[str, Any]) -> Iterator[Table]:
 
 
 def page(found: Mapping[str, Any]) -> bytes:
-    """docs/measured/evaluation.md."""
+    """Return docs/measured/evaluation.md."""
     said = f"Commit {found['made_by']}, {found['date']}. {found['drivers']}; {found['machine']}.\n"
     said += f"Failed: {found['failures'] or 'none'}."
     how = "python -m tools.docs.evaluation_results out/evaluation"
@@ -152,7 +152,7 @@ def page(found: Mapping[str, Any]) -> bytes:
 
 
 def main() -> None:
-    """Write."""
+    """Write the page."""
     found = json.loads((Path(sys.argv[1]) / "evaluation.json").read_text())
     replace_file(FOLDER / "evaluation.md", [page(found)])
 

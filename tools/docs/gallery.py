@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/gallery.md anew: runs each example of docs/examples as a user would.
+"""Redraw the pictures of docs/gallery.md: run each example of docs/examples as a user would.
 
     python -m tools.docs.gallery [docs/images]
 
@@ -35,14 +35,14 @@ PICTURES = {
     "custom_solver": "solved.png",
     "drive_server": "served.jpg",
 }
-"""The ten programs, in the page's order, and the picture that each leaves."""
+"""The picture that each of the ten programs writes, in the page's order."""
 LARGEST = 60_000  # bytes
 _SIDE = 960  # pixels, the longer one
 
 
 @contextmanager
 def served() -> Iterator[str]:
-    """The address of a server of the embedded avatar, in this process."""
+    """Serve the embedded avatar in this process and yield the address."""
     ready, state = threading.Event(), {}
 
     async def main() -> None:
@@ -63,7 +63,7 @@ def served() -> Iterator[str]:
 
 
 def run(name: str, *arguments: str) -> None:
-    """One example in an empty folder, as ``python NAME.py ARGUMENTS`` there would run it."""
+    """Run one example in the current folder, as ``python NAME.py ARGUMENTS``."""
     old, sys.argv = sys.argv, [name, *arguments]
     try:
         runpy.run_path(str(ROOT / "docs" / "examples" / f"{name}.py"), run_name="__main__")
@@ -72,7 +72,7 @@ def run(name: str, *arguments: str) -> None:
 
 
 def shrunk(picture: Path) -> bytes:
-    """The picture as WebP of at most LARGEST bytes, transparent parts over white."""
+    """Return the picture as WebP of at most LARGEST bytes, transparent parts over white."""
     image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
     if image.shape[2] == 4:
         alpha = image[..., 3:] / 255

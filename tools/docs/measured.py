@@ -1,11 +1,11 @@
-"""Pages of docs/measured: tables that commands print, with commit, driver and date, and their copies elsewhere.
+"""Write the pages of docs/measured: tables that commands print, with commit, driver and date, and their copies.
 
     python -m tools.docs.measured               # all pages, forty minutes; nothing else may run on the machine
     python -m tools.docs.measured frame         # one of them
-    python -m tools.docs.measured --copies      # measures nothing: writes the copies anew
+    python -m tools.docs.measured --copies      # only update the copies
 
-Another page shows a table between ``<!-- measured: PAGE/TABLE -->`` and ``<!-- end -->``; `make docs` writes the
-copies anew.
+Another page shows a copy of a table between ``<!-- measured: PAGE/TABLE -->`` and ``<!-- end -->``; `make docs` updates
+copies.
 """
 
 from __future__ import annotations
@@ -40,38 +40,38 @@ from tools.net.link_tables import alone, busy, datagrams, falling, shared, video
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "measured"
 SIZES = (512, 768, 1024)
-LINKS = ("20,50", "40,50", "40,5")  # ms there and back, Mbit/s
+LINKS = ("20,50", "40,50", "40,5")  # round trip in ms, Mbit/s
 
 _TABLE = re.compile(r"<!-- table: (\S+) -->\n\n(.*?)\n\n<!-- end -->", re.S)
 _COPY = re.compile(r"(<!-- measured: (\S+)/(\S+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
 
-Table = tuple[str, str, str]  # name, a paragraph of what it is, markdown
+Table = tuple[str, str, str]  # name, describing paragraph, markdown
 
 
 def tables(page: str) -> dict[str, str]:
-    """Name -> markdown of the tables that a page of docs/measured holds."""
+    """Return the tables of a page of docs/measured as Markdown, by name."""
     return {name: text for name, text in _TABLE.findall((FOLDER / f"{page}.md").read_text(encoding="utf-8"))}
 
 
 def with_copies(text: str) -> str:
-    """A page's text, its copies of measured tables as they are now. KeyError: no such table."""
+    """Return a page's text with its copies of measured tables updated. Raises KeyError for an unknown table."""
     return _COPY.sub(lambda copy: copy[1] + tables(copy[2])[copy[3]] + copy[4], text)
 
 
 def pages_with_copies() -> Iterator[Path]:
-    """README and the pages of docs that show a measured table."""
+    """Yield README and the pages of docs that show a measured table."""
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         if _COPY.search(path.read_text(encoding="utf-8")):
             yield path
 
 
 def command(*words: str, cwd: Path = ROOT) -> str:
-    """What ``glsplat WORDS`` prints."""
+    """Return the output of ``glsplat WORDS``."""
     return script("apps.cli", *words, cwd=cwd)
 
 
 def script(module: str, *words: str, cwd: Path = ROOT) -> str:
-    """What ``python -m MODULE WORDS`` prints."""
+    """Return the output of ``python -m MODULE WORDS``."""
     print("python -m", module, *words, file=sys.stderr, flush=True)
     here = {**os.environ, "PYTHONPATH": str(ROOT)}
     line = (sys.executable, "-m", module, *words)
@@ -80,7 +80,7 @@ def script(module: str, *words: str, cwd: Path = ROOT) -> str:
 
 
 def frame() -> Iterator[Table]:
-    """A frame stage by stage."""
+    """Measure a frame stage by stage."""
     sizes = [f"{side}x{side}" for side in SIZES]
     exact = command("bench", "--sizes", *sizes, "--frames", "16")
     yield (
@@ -94,7 +94,7 @@ def frame() -> Iterator[Table]:
 
 
 def hard() -> Iterator[Table]:
-    """Every hard case, run."""
+    """Run every stability case."""
     context, rows = (
         create_context(),
         ["| of | case | input | stated behaviour | largest error | |", "|---|---|---|---|--:|---|"],
@@ -107,19 +107,19 @@ def hard() -> Iterator[Table]:
 
 
 def hard_cells(row: dict[str, Any]) -> list[str]:
-    """Return the cells of a hard case that do not depend on the driver."""
+    """Return the cells of a stability case that do not depend on the driver."""
     return [row[key].replace("|", "/") for key in ("group", "case", "input", "behaviour")]
 
 
 def poses() -> Iterator[Table]:
-    """What answers in poses cost."""
+    """Measure the cost of answers as poses."""
     text = script("tools.net.poses", "--people", "1", "10", "--rate", "20", "72")
     note = "`python -m tools.net.poses`: everybody of a room sends and draws everybody, the embedded recording."
     yield "room", note, _markdown(text)
 
 
 def tracking() -> Iterator[Table]:
-    """Scores of captured motions, and sizes that are found; of the reference data that lies beside the checkout."""
+    """Score tracking and body sizes on captured motions of the reference data beside the checkout."""
     clips = [f"cmu_02_0{clip}.amc" for clip in (1, 3, 4, 5)] + [f"cmu_131_0{clip}.bvh" for clip in (1, 2, 3)]
     words = ("tracking", "bench", *clips, "--groups", "cmu_([0-9]+)_")
     scores = command(*words, "--brief", "--rates", "72", cwd=SHARED_DATA / "mocap")
@@ -132,7 +132,7 @@ def tracking() -> Iterator[Table]:
     means = command(*words, "--brief", "--rates", "30,90", cwd=SHARED_DATA / "mocap")
     rows = [row for row in _markdown(means).splitlines() if row.startswith(("| clip", "| ---", "| **all**"))]
     yield "rates", "The same at 30 and 90 Hz, means of all.", "\n".join(rows)
-    from tools.data import sizes  # its motions are read here alone
+    from tools.data import sizes
 
     yield (
         "sizes",
@@ -143,7 +143,7 @@ def tracking() -> Iterator[Table]:
 
 
 def stream() -> Iterator[Table]:
-    """Pictures over the wire, server and client on this machine."""
+    """Measure pictures over the wire, with server and client on this machine."""
     sizes = [str(side) for side in SIZES]
     common = ("demo", "-o", str(ROOT / "out" / "measured"), "--seconds", "6", "--sizes", *sizes, "--json")
     exact = json.loads(command(*common, "--exact"))["runs"]
@@ -178,7 +178,7 @@ def stream() -> Iterator[Table]:
 
 
 def links() -> Iterator[Table]:
-    """Streams over simulated links."""
+    """Simulate streams over links."""
     about = (
         "**Simulated**: the server's control of a link in front of a model of renderer, TCP and client\n"
         "(tools/net/simulated_link.py says what is modelled, and that TCP's own window is not). 2 x 1024^2, 20 pairs\n"
@@ -208,7 +208,7 @@ def links() -> Iterator[Table]:
 
 
 def ladder() -> Iterator[Table]:
-    """What size and quality cost in bits and in sight."""
+    """Measure bytes and visible loss of JPEG sizes and qualities."""
     files = os.environ.get("GLSPLAT_MEASURED_AVATARS", "").split()
     about = (
         "The left eye of `glsplat replay` at 1024^2, the embedded people, and an avatar of 39,998\n"
@@ -223,7 +223,7 @@ def ladder() -> Iterator[Table]:
 
 
 def _markdown(text: str) -> str:
-    """The table in what a command printed. ValueError: none."""
+    """Return the table in a command's output. Raises ValueError without one."""
     rows = [line for line in text.splitlines() if line.startswith("|")]
     if len(rows) < 3:
         raise ValueError(f"no table in what the command printed: {text[:200]!r}")
@@ -242,11 +242,11 @@ PAGES: dict[str, tuple[str, Callable[[], Iterator[Table]]]] = {
 
 
 UNTIMED = ("hard", "links", "ladder")
-"""Pages without times of this machine: no gate."""
+"""Pages without times, which need no quiet machine."""
 
 
 def written(page: str) -> bytes:
-    """Return a page of docs/measured, measured now; twice if the machine was not quiet. Raises GlsplatError."""
+    """Measure a page of docs/measured, twice if the machine was not quiet. Raises GlsplatError."""
     title, measure = PAGES[page]
     how = f"python -m tools.docs.measured {page}"
     if page in UNTIMED:
@@ -257,7 +257,7 @@ def written(page: str) -> bytes:
 
 
 def written_precision(person: Path, minutes: float) -> bytes:
-    """Return the page of work and precision, which has a gate for each scene. Raises GlsplatError."""
+    """Measure the page of work and precision, which has a gate for each scene. Raises GlsplatError."""
     found = precision.measured(ROOT / "out" / "measured" / "precision", person, minutes)
     how = "python -m tools.docs.measured precision --person PERSON.glb"
     said = f"{_said(None)} {precision.about_errors()}"
@@ -268,7 +268,7 @@ def written_precision(person: Path, minutes: float) -> bytes:
 
 
 def _noise() -> float:
-    """Return how far two halves of one series are apart, as bench measures them."""
+    """Return the relative difference of two halves of a series of bench."""
     row = json.loads(command("bench", "--static", "--sizes", "256x256", "--frames", "60", "--json"))["settings"][0]
     return float(row["noise"])
 
@@ -284,7 +284,7 @@ def _said(quiet: Quiet | None) -> str:
 
 
 def page_of(title: str, how: str, said: str, found: Iterable[Table]) -> bytes:
-    """Such a page: the command that writes it, what it was measured on, and the tables."""
+    """Return a page with its title, the command ``how`` that writes it, the machine, and the tables."""
     mark = "<!-- not run: minutes of a quiet machine, or hours -->"
     text = [f"# {title}, measured", "", mark, "", f"    {how}        # wrote this page", "", fill(said, 99)]
     for name, about, table in found:

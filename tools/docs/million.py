@@ -1,8 +1,8 @@
-"""Seconds, bytes and memory of a million splats in every format: the table of docs/formats.md.
+"""Measure seconds, bytes and memory of a million splats in every format: the table of docs/formats.md.
 
     python -m tools.docs.million [DEGREE]
 
-Each file is read and written by a process of its own; memory is what the process takes beyond what it had before.
+A new process reads each file; memory is the growth of its peak.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ COUNT = 1_000_000
 
 
 def scene(degree: int) -> Splats:
-    """A million splats on a bumpy ground of ten metres."""
+    """Return a million splats on a bumpy ground of ten metres."""
     rng = np.random.default_rng(1)
     means = rng.uniform(-5, 5, (COUNT, 3)).astype(np.float32)
     means[:, 1] = 0.3 * np.sin(means[:, 0]) + rng.normal(0, 0.02, COUNT)
@@ -40,7 +40,7 @@ def scene(degree: int) -> Splats:
 
 
 def _peak() -> int:
-    status = Path("/proc/self/status").read_text()  # not ru_maxrss, which begins with the parent's
+    status = Path("/proc/self/status").read_text()  # ru_maxrss begins with the parent's
     return int(status.split("VmHWM:")[1].split()[0]) * 1024
 
 
@@ -54,7 +54,7 @@ def _one(path: str) -> None:
 
 
 def main(degree: int) -> None:
-    """Print a line a format."""
+    """Print a line per format."""
     splats = scene(degree)
     with tempfile.TemporaryDirectory() as folder:
         for form in all_formats().values():

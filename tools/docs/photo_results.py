@@ -1,11 +1,11 @@
-"""Make avatars of participants' photographs and compare them with the participants: tables of docs/photo.md, "Results".
+"""Compare avatars of participants' photographs with the participants: tables of docs/photo.md, "Results".
 
     python -m tools.docs.photo_results [--steps N] [p01 p02 ...]
     python -m tools.docs.photo_results --poses "A-pose" "crossed" ... p14 p15
 
-``--steps`` are those of fitting splats. Avatar and participant are seen from four sides of 320 pixels, in the pose and
-the light of the participant's photograph. With ``--poses`` a photograph is drawn in each pose, lit as the participant's
-own, without shadow on the floor, before the same room; percentages compare LPIPS with the person's own A-pose.
+``--steps`` are those of fitting splats. Avatar and participant are drawn from four sides at 320 pixels, in the pose and
+light of the participant's photograph. ``--poses`` renders a photograph in each pose, with the light and room of the
+participant's own but no shadow on the floor; percentages compare LPIPS with the person's A-pose.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def photographed(person: Capture, pose: str, taken: Pose) -> np.ndarray:
 
 
 def avatar_of(name: str, pose: str | None = None, steps: int = 0) -> Avatar | str:
-    """Return the avatar of the participant's photograph, or of one drawn in ``pose``, or why there is none."""
+    """Return the avatar of a participant's photograph, or of one drawn in ``pose``; on refusal the reasons."""
     folder = SHARED_DATA / "participants"
     people = json.loads((folder / "participants.json").read_text())["participants"]
     height = next(float(person["height_m"]) for person in people if person["id"] == name)
@@ -109,7 +109,7 @@ def avatar_of(name: str, pose: str | None = None, steps: int = 0) -> Avatar | st
 
 
 def cameras_around(vertices: np.ndarray) -> list[Camera]:
-    """Return cameras on ``SIDES`` of the person, who fills 88 % of the height."""
+    """Return cameras on ``SIDES`` of the person, who fills 88 % of the picture's height or width."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle, extent, focal = (low + high) / 2, float((high - low)[:2].max()), 1.37 * SIZE
     k = [[focal, 0, SIZE / 2], [0, focal, SIZE / 2], [0, 0, 1]]

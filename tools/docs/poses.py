@@ -1,4 +1,4 @@
-"""Poses of people who do not pose, each worked out for the one body that takes it, so that no hand is inside of it."""
+"""Everyday poses, solved for each body so that no hand is inside it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tests.extras.authoring.captures import Capture
 _SIDES = {"left": 1.0, "right": -1.0}
 _ARM = ("collar", "shoulder", "elbow", "wrist", "index", "middle", "pinky", "ring", "thumb")
 
-# side of the body -> where its wrist is and where its elbow looks to. Of the wrist: across (shares of the hips' half
-# width, to the arm's own side), up from the hips to the shoulders (0 to 1), metres before (behind) the body's surface.
+# place of the wrist: across (in half widths of the hips, towards the arm's side), up (0: hips, 1: shoulders), metres
+# before (negative: behind) the body's surface; then the elbow's direction
 _Reach = tuple[float, float, float, tuple[float, float, float]]
 _HIP: _Reach = (1.30, 0.13, 0.0, (1.0, 0.0, -0.35))
 _POCKET: _Reach = (1.0, -0.12, 0.045, (0.7, 0.0, -0.8))
@@ -26,14 +26,14 @@ POSES: dict[str, tuple[dict[str, _Reach], float]] = {
     "turned by 30": ({}, 30.0),
     "turned by 45, a hand on the belly": ({"right": (0.1, 0.25, 0.05, (1.0, -0.3, -0.2))}, -45.0),
 }
-"""Name -> the arms that do something, and degrees that the person has turned to their own left. Other arms hang."""
+"""Reach of arms by side, and degrees that the person has turned to their own left, by name. Other arms hang."""
 
-_HANGING = 3.0  # degrees off the upright
-_BESIDE = 0.045  # metres that a hanging wrist keeps from the hips
+_HANGING = 3.0  # degrees from vertical
+_BESIDE = 0.045  # metres between a hanging wrist and the hips
 
 
 def standing(person: Capture, name: str) -> Pose:
-    """The pose of this name, for this person's body."""
+    """Return the pose ``name`` of POSES for a person's body."""
     reaches, turn = POSES[name]
     skeleton = person.mesh.skeleton
     rotations = np.zeros_like(person.pose)
@@ -67,7 +67,7 @@ def standing(person: Capture, name: str) -> Pose:
 
 
 def _trunk(person: Capture) -> np.ndarray:
-    """[N, 3] the dressed surface in the zero pose but for arms and head."""
+    """Return the dressed surface [N, 3] in the zero pose, without arms and head."""
     mesh = person.mesh
     owner = np.take_along_axis(mesh.joints, mesh.weights.argmax(axis=1)[:, None], 1)[:, 0]
     arms = np.array([any(part in name for part in (*_ARM, "neck", "head")) for name in mesh.skeleton.names])
@@ -75,7 +75,7 @@ def _trunk(person: Capture) -> np.ndarray:
 
 
 def _reaching(person: Capture, numbers: list[int], goal: np.ndarray, hint: np.ndarray, out: float) -> np.ndarray:
-    """[2, 3] turns of shoulder and elbow that bring the wrist to the goal, the elbow to where it looks."""
+    """Return rotations [2, 3] of shoulder and elbow that bring the wrist to ``goal``, the elbow towards ``hint``."""
     skeleton, hint = person.mesh.skeleton, hint / np.linalg.norm(hint)
 
     def away(x: np.ndarray) -> np.ndarray:

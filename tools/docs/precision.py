@@ -3,8 +3,7 @@
     glsplat avatar photo PICTURE --steps 0 -o out/person.glb
     python -m tools.docs.measured precision --person out/person.glb --minutes 20
 
-Each scene is kept in out/measured/precision once it was measured on a quiet machine; a second run of the same commit
-goes on where the first one ended.
+Results of a quiet machine are kept in out/measured/precision; another run of the same commit resumes there.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from glsplat.io.provenance import commit
 from tests.conftest import SHARED_DATA
 
 SIZES = {512: 16, 1024: 8}
-"""Pixels a side -> measured frames; the larger size measures the candidates of the smaller one."""
+"""Measured frames by picture side in pixels; the larger size measures the candidates of the smaller one."""
 
 MOST_ROWS = 12  # of a table
 
 
 def scenes(person: Path) -> dict[str, tuple[str | None, int]]:
-    """Return name -> (file, which of its subjects)."""
+    """Return (file, index of its subject) by name."""
     splats = SHARED_DATA / "splats"
     return {
         "avatar": (None, 0),
@@ -46,7 +45,7 @@ def scenes(person: Path) -> dict[str, tuple[str | None, int]]:
 
 
 def measured(folder: Path, person: Path, minutes: float) -> dict[str, list[dict[str, Any]]]:
-    """Return name -> results, a size each; when the time is up, those of the scenes until then.
+    """Return results for each size by name, of the scenes that were measured within ``minutes``.
 
     Raises GlsplatError if the machine is not quiet, or if no scene was measured in time.
     """
@@ -91,7 +90,7 @@ def _say(text: str) -> None:
 
 
 def check_quiet(name: str, quiet: Quiet) -> None:
-    """Raise GlsplatError for a measurement that must not be committed."""
+    """Raise GlsplatError unless the machine was quiet."""
     if not quiet.ok:
         raise GlsplatError(
             f"{name}: not written: expected a quiet machine (at most {MAX_SHARE:.0%}), got: {quiet.words}; "
@@ -100,7 +99,7 @@ def check_quiet(name: str, quiet: Quiet) -> None:
 
 
 def page(results: dict[str, list[dict[str, Any]]], images: Path) -> Iterator[tuple[str, str, str]]:
-    """Yield name, about and markdown of each table, and write its picture."""
+    """Write the pictures and yield name, description and Markdown of each table."""
     for name, sizes in results.items():
         picture = f"precision-{name}.png"
         replace_file(images / picture, [precision_plot(sizes)])
@@ -116,7 +115,7 @@ def page(results: dict[str, list[dict[str, Any]]], images: Path) -> Iterator[tup
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the fronts as markdown: the defaults of ``render`` and ``serve``, and of the rest as many as fit."""
+    """Return Markdown of the defaults of ``render`` and ``serve`` and of the fronts, at most MOST_ROWS."""
     marked = [row for row in rows if row["flip"] is not None and {"render", "serve"} & set(row["marks"])]
     front = [row for row in rows if row["front"] and row["flip"] is not None and row not in marked]
     front.sort(key=lambda row: row["ms"])
@@ -147,10 +146,7 @@ def use(result: dict[str, Any]) -> str:
 
 
 def off_front(rows: Sequence[dict[str, Any]]) -> str:
-    """Return a sentence for each drawn default that another setting beats in PSNR, and in time by more than the noise.
-
-    "" if there is none.
-    """
+    """Return a sentence for each drawn default that is slower, by more than noise, than a setting of no less PSNR."""
     drawn, found = [row for row in rows if row["way"]["jpeg"] is None], ""
     for row in drawn:
         if row["marks"] and not row["front"]:
@@ -165,7 +161,7 @@ def off_front(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def about_errors() -> str:
-    """Return how to read the page."""
+    """Return the text that explains the page's errors."""
     return (
         "Settings take turns frame by frame; a time is the median ratio to the default of the same turn. Errors are "
         "against `glsplat/reference.py` in float64, in the box that the scene covers, of frame 31: PSNR of both views' "

@@ -1,1 +1,1 @@
-"""Measurements of the server's network side, by hand."""
+"""Measure the server's network side, by hand."""

@@ -1,8 +1,8 @@
-"""What JPEG quality and size cost in bits and in sight: the table behind glsplat/net/pace/ladder.py. Some minutes.
+"""Measure bytes and visible loss of JPEG qualities and sizes: the table behind glsplat/net/pace/ladder.py, in minutes.
 
-Each setting is drawn, encoded as the server does, decoded, enlarged to the full size as a texture is, and compared
-with the uncompressed picture of the full size: LPIPS (AlexNet) and PSNR in the box that the avatar covers. Bytes are
-those of that box, as pictures with ``crop`` have them, and of the whole picture.
+Each setting is drawn, encoded as by the server, decoded, enlarged to full size as a texture, and compared with the
+uncompressed picture of full size: LPIPS (AlexNet) and PSNR in the box that the avatar covers. Bytes are of that box, as
+with ``crop``, and of the whole picture.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from glsplat.net.codec.encode import covered_box, encode_picture
 from glsplat.net.pace.ladder import SCALES
 from glsplat.renderer import Renderer
 
-SIDE = 1024  # pixels of a whole picture
+SIDE = 1024  # side of a whole picture in pixels
 QUALITIES = (95, 90, 80, 70, 60, 50, 40, 30, 20, 10)
-DEVELOPED = (("wave-and-turn", 1.0), ("walk", 0.4))  # motion and second: the ladder was drawn from these ...
-SET_ASIDE = (("wave-and-turn", 3.3), ("idle", 2.0))  # ... and is looked at on these
+DEVELOPED = (("wave-and-turn", 1.0), ("walk", 0.4))  # motion and second from which the ladder was derived
+SET_ASIDE = (("wave-and-turn", 3.3), ("idle", 2.0))  # held-out moments
 
 Moments = Sequence[tuple[str, float]]
 Image = NDArray[np.uint8]
 
 
 def _pictures(avatar: Avatar, moments: Moments) -> Iterator[dict[float, Image]]:
-    """The left eye of a moment at each of the scales, uncompressed."""
+    """Yield the uncompressed left eye of each moment, by scale."""
     with Renderer(avatar) as renderer:
         for motion, second in moments:
             pose = load_embedded_motion(motion, avatar.skeleton).at(second)
@@ -49,10 +49,7 @@ def _pictures(avatar: Avatar, moments: Moments) -> Iterator[dict[float, Image]]:
 
 
 def table(files: Sequence[str], moments: Moments) -> str:
-    """The settings that no other beats in both bytes and LPIPS, the dearest first, over the embedded people and files.
-
-    ``files`` are of avatars.
-    """
+    """Return the Pareto front in bytes and LPIPS as a table, most bytes first, over embedded people and ``files``."""
     lpips = Lpips("alex")
     found: dict[tuple[float, int], list[tuple[float, ...]]] = {}
     for name in (*PEOPLE, *files):

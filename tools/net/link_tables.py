@@ -1,4 +1,4 @@
-"""Tables of streams over simulated links, for ``python -m tools.docs.measured links``: no sockets, seconds of CPU."""
+"""Make tables of simulated streams for ``python -m tools.docs.measured links``, without sockets, in seconds of CPU."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FALL = 20.0, 3.0, 20.0, 40.0  # Mbit/s before, and during a fall; its start and 
 
 
 def goal(trip: float) -> float:
-    """Return the goal for the 95th percentile of the age on show, ms; ``trip`` is the round trip in ms."""
+    """Return the goal for the 95th percentile of the age of the shown picture, ms; ``trip``: round trip in ms."""
     return 1.3 * (trip + 120)
 
 
@@ -28,7 +28,7 @@ def _cells(outcome: Outcome, rate: float) -> str:
 
 
 def alone() -> Iterator[str]:
-    """One client for 60 s: link control, and an oracle that knows the link."""
+    """Yield the table of one client for 60 s: link control, and an oracle that knows the link."""
     names = "shown/s | age | 95 % | used | LPIPS"
     yield f"| Mbit/s | ms | loss | {names} | {names} | goal, ms | met by |"
     yield "|" + "--:|" * 14 + "---|"
@@ -44,12 +44,12 @@ def alone() -> Iterator[str]:
 
 
 def falling() -> Iterator[str]:
-    """A rate that falls and recovers: seconds for which ages miss the goal afterwards."""
+    """Yield the table of a rate that falls and recovers: seconds for which ages miss the goal afterwards."""
     before, then, start, end = FALL
     yield "| ms | | beyond the goal after the fall, s | 95 % from 2 s on, ms | oldest, ms | after it came back, s |"
     yield "|--:|---|--:|--:|--:|--:|"
     for trip in TRIPS:
-        # the clock starts with the warm-up
+        # now includes the warm-up of 5 s
         link = Link(lambda now: then if start <= now - 5.0 < end else before, trip / 1e3)
         policies: dict[str, Policy] = {"fixed": Fixed(), "server": LinkControl(), "oracle": Oracle(link)}
         policies["server, datagrams"] = LinkControl()
@@ -64,7 +64,7 @@ def falling() -> Iterator[str]:
 
 
 def shared() -> Iterator[str]:
-    """Two clients behind one bottleneck; the second starts at once, or 8 s after the first."""
+    """Yield the table of two clients behind one bottleneck; the second starts at once, or 8 s after the first."""
     yield "| Mbit/s | ms | second after, s | parts of what is sent | of the rate | 95 %, ms | goal, ms |"
     yield "|--:|--:|--:|--:|--:|--:|--:|"
     for rate in RATES:
@@ -87,7 +87,7 @@ class Unanswered(LinkControl):
 
 
 def busy() -> Iterator[str]:
-    """A client that reads its socket only every so many ms, on a fast link."""
+    """Yield the table of a client on a fast link that reads its socket only every ``every`` ms."""
     yield "| the client looks every, ms | arrivals from | as asked for | LPIPS | shown/s |"
     yield "|--:|---|--:|--:|--:|"
     for every in (0, 100, 150, 300, 400):
@@ -98,11 +98,11 @@ def busy() -> Iterator[str]:
 
 
 VIDEO = 6400
-"""Bytes of a pair in VP9, as good as JPEG of quality 80 (docs/measured/codec.md, the motion set aside)."""
+"""Bytes of a pair in VP9, as good as JPEG of quality 80 (docs/measured/codec.md, the held-out motion)."""
 
 
 def video() -> Iterator[str]:
-    """Pictures of a tenth of the bytes; key frames and a ladder for video are not modelled."""
+    """Yield the table of pictures of a tenth of the bytes; key frames and a ladder for video are not modelled."""
     yield "| Mbit/s | ms | loss | JPEG: shown/s | 95 % | LPIPS | video: shown/s | 95 % | LPIPS | goal, ms |"
     yield "|" + "--:|" * 10
     for rate, trip, loss in ((2, 20, 0), (2, 150, 0), (20, 60, 1), (5, 60, 1), (20, 150, 1), (5, 150, 1), (20, 150, 3)):
@@ -115,7 +115,7 @@ def video() -> Iterator[str]:
 
 
 def datagrams() -> Iterator[str]:
-    """Pictures by datagrams, and over TCP."""
+    """Yield the table of pictures by datagrams and over TCP."""
     names = "shown/s | age | 95 % | LPIPS"
     yield f"| Mbit/s | ms | loss | {names} | {names} | goal, ms | met by |"
     yield "|" + "--:|" * 12 + "---|"

@@ -2,8 +2,8 @@
 
     python -m tools.net.poses [--people 1 10] [--seconds 15] [--rate 72]
 
-A server of its own process (`glsplat serve`, the embedded avatar) with a room; this process sends the embedded
-recording for every person, each beginning elsewhere in it, and reads what comes. Its own work is not counted.
+A separate server process (`glsplat serve`, the embedded avatar) has a room; this process sends the embedded recording
+for every person, from different starts, and reads the replies. Its own work is not counted.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from glsplat.tracking.recording import embedded_recording
 
 
 async def person(url: str, name: str, first: int, samples: list[dict[str, Any]], rate: float, until: float) -> Any:
-    """One of the people; replies (ages of the others in ms, bytes, round trips in ms) from a second on."""
+    """Send one person's samples; return their number and (bytes, bodies of others, round trip in ms) of replies."""
     got: list[tuple[int, int, float]] = []  # bytes, bodies of others, round trip
     sent: dict[int, float] = {}
     async with aiohttp.ClientSession() as http:
@@ -61,7 +61,7 @@ async def person(url: str, name: str, first: int, samples: list[dict[str, Any]],
 
 
 def glance(data: bytes) -> tuple[int, int]:
-    """frame_id and the bodies of others in a reply, without reading their poses: ten people are read here, too."""
+    """Return frame_id and the number of others' bodies in a reply, without decoding poses, to save CPU."""
     ack, length = struct.unpack_from("<4xIxI", data)
     start, others = 14 + length, 0
     for _ in range(data[start - 1]):
@@ -72,7 +72,7 @@ def glance(data: bytes) -> tuple[int, int]:
 
 
 async def room(url: str, people: int, rate: float, seconds: float, process: psutil.Process) -> None:
-    """The table's row: CPU of the server and all its processes, bytes, round trips."""
+    """Print a row: CPU of the server and all its processes, bytes, round trips."""
     samples = [{k: v for k, v in sample.to_json().items() if k != "t"} for sample in embedded_recording()]
     until = time.perf_counter() + seconds + 2
     tasks = [asyncio.create_task(person(url, f"P{i}", i, samples, rate, until)) for i in range(people)]
@@ -80,7 +80,7 @@ async def room(url: str, people: int, rate: float, seconds: float, process: psut
 
     def spent() -> NDArray[np.float64]:
         every = [process, *process.children(recursive=True)]
-        return np.array([one.cpu_times()[:2] for one in every]).sum(axis=0)  # of programs, of the system
+        return np.array([one.cpu_times()[:2] for one in every]).sum(axis=0)  # user, system
 
     before, began = spent(), time.perf_counter()
     await asyncio.sleep(seconds - 0.5)
@@ -104,7 +104,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--people", type=int, nargs="+", default=[1, 10])
     parser.add_argument("--seconds", type=float, default=15.0)
-    parser.add_argument("--rate", type=float, nargs="+", default=[72.0], help="samples a second of each")
+    parser.add_argument("--rate", type=float, nargs="+", default=[72.0], help="samples per second of each")
     args = parser.parse_args()
     command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--room", "lab:64"]
     with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
@@ -124,7 +124,7 @@ def measured(command: list[str], args: argparse.Namespace) -> None:
             )
             for people, rate in itertools.product(args.people, args.rate):
                 asyncio.run(room(told["url"], people, rate, args.seconds, psutil.Process(server.pid)))
-                time.sleep(3)  # who left is forgotten
+                time.sleep(3)  # until the room has forgotten them
         finally:
             server.terminate()
 

@@ -1,19 +1,19 @@
-"""Streams over links that are only computed: a virtual clock, no sockets, no sleeps; the same numbers each time.
+"""Simulate streams over links by a virtual clock, without sockets and sleeps; results are deterministic.
 
-What is real is the server's control of a link (glsplat/net/pace). The rest is a model:
+The server's control of a link (glsplat/net/pace) is real. The rest is a model:
 
-- The display asks at 72 Hz; requests are small and take half of the round trip.
-- The newest request is drawn when the renderer is free: 50 ms for a pair of full size, (0.18 + 0.82 scale^2) as much
-  for smaller ones, then 4 ms to encode. Pictures vary by a tenth in size.
-- The bottleneck is one queue, first in, first out, that never overflows. A lost packet (1,448 bytes) is sent again when
-  three later ones of its picture arrived, else after two round trips; lost again, after 200 ms and the round trip.
-  Whatever lies behind it waits (TCP delivers in order). TCP's own window is not modelled: with loss that would send
-  less than the link takes.
-- By datagrams (far_links/datagrams) a picture takes the bytes of its headers and parity more, waits for no other,
-  and is there once all but so many of its packets are as it has parity for; else it never comes, which the server hears
-  of a round trip later. Answers and requests are not lost in either model.
-- What receives for the client answers pings at once, also those right behind pictures. The client acknowledges at
-  once, or every ``busy`` seconds, decodes in 4 ms and shows the newest picture at its next refresh.
+- The display requests at 72 Hz; requests are small and take half of the round trip.
+- The newest request is drawn when the renderer is free: 50 ms for a pair of full size, times (0.18 + 0.82 scale^2)
+  for smaller ones, then 4 ms to encode. Sizes of pictures vary by a tenth.
+- The bottleneck is one FIFO queue that never overflows. A lost packet (1,448 bytes) is sent again when three later
+  ones of its picture have arrived, else after two round trips; if lost again, after 200 ms and the round trip.
+  Everything behind it waits (TCP delivers in order). TCP's own window, which with loss would send less than the link
+  takes, is not modelled.
+- With datagrams (far_links/datagrams) a picture has additional bytes of headers and parity and waits for no other. It
+  arrives unless more packets are lost than it has parity; the server hears of a lost picture a round trip later.
+  Replies and requests are not lost in either model.
+- The client's receiver answers pings at once, also those right behind pictures. The client acknowledges at once, or
+  every ``busy`` seconds, decodes in 4 ms and shows the newest picture at its next refresh.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder,
 
 REFRESH = 1 / 72
 DRAW, ENCODE, DECODE = 0.050, 0.004, 0.004  # seconds
-FULL = 63_000  # bytes of a pair at full size and quality 80, whole
+FULL = 63_000  # bytes of a whole pair at full size and quality 80
 QUALITY = 80
 PIXELS = 1024 * 1024
 PACKET = 1448  # bytes
-_HEADERS = 60  # bytes of a datagram beside its piece
-WINDOW = 2  # pictures under way where nothing adapts
+_HEADERS = 60  # bytes of a datagram besides its piece
+WINDOW = 2  # pictures under way without control
 WARM_UP = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """``rate`` gives Mbit/s at a moment."""
+    """A link; ``rate`` returns Mbit/s at a time in seconds."""
 
     rate: Callable[[float], float]
     round_trip: float  # seconds
@@ -50,7 +50,7 @@ class Link:
 
 
 class Fixed:
-    """As it was: full quality, two pictures under way."""
+    """No control: full quality, two pictures under way."""
 
     window = WINDOW
 
@@ -77,7 +77,7 @@ class Fixed:
 
 
 class Oracle(Fixed):
-    """Knows the rate of this moment (``part`` of it is its own) and the size of the next picture."""
+    """Control that knows the current rate (and uses ``part`` of it) and the size of the next picture."""
 
     window = 8
 
@@ -105,25 +105,25 @@ class Oracle(Fixed):
 
 
 Policy = LinkControl | Fixed
-"""What a server does for one client, or what that is compared with."""
+"""A server's control of one client's link, or a baseline."""
 
 
 @dataclass
 class Outcome:
-    """Of one client, behind the warm-up."""
+    """Results of one client after the warm-up."""
 
-    ages: list[tuple[float, float]] = field(default_factory=list)  # second, age in seconds of what is on show
+    ages: list[tuple[float, float]] = field(default_factory=list)  # time, age of the shown picture; seconds
     shown: int = 0
     nbytes: float = 0.0
-    losses: list[float] = field(default_factory=list)  # LPIPS of the pictures that were shown
+    losses: list[float] = field(default_factory=list)  # LPIPS of shown pictures
     changes: int = 0  # of the rung
     arrived: int = 0  # pictures
-    full: int = 0  # of them as they were asked for
-    most_waiting: float = 0.0  # pictures in the queue at most when one is written, that one included
+    full: int = 0  # arrived pictures of the requested size and quality
+    most_waiting: float = 0.0  # most pictures in the queue when one is written, including it
     seconds: float = 0.0
 
     def age(self, part: float, begin: float = 0.0, end: float = float("inf")) -> float:
-        """That quantile, in seconds, between two moments."""
+        """Return the quantile ``part`` of ages between two times, seconds."""
         ages = sorted(age for at, age in self.ages if begin <= at < end)
         return ages[min(len(ages) - 1, int(part * len(ages)))] if ages else float("nan")
 
@@ -131,11 +131,11 @@ class Outcome:
 class _Client:
     def __init__(self, policy: Policy, window: int, seed: int) -> None:
         self.policy, self.window, self.chance = policy, window, Random(seed)
-        self.mailbox: float | None = None  # when the newest request was made
+        self.mailbox: float | None = None  # time of the newest request
         self.drawing = self.resting = False
         self.under_way: set[int] = set()
         self.numbers = count(1)
-        self.arrived = 0.0  # of the newest picture
+        self.arrived = 0.0  # arrival of the newest picture
         self.decoded: tuple[float, Rung] | None = None
         self.on_show: float | None = None
         self.rung: Rung | None = None
@@ -152,10 +152,10 @@ def play(
     full: int = FULL,
     datagrams: bool = False,
 ) -> list[Outcome]:
-    """So many seconds after the warm-up, a client a policy, all behind one bottleneck.
+    """Simulate a client per policy, all behind one bottleneck, for ``seconds`` after the warm-up.
 
-    ``busy``: seconds between two moments at which the clients look at what arrived. ``full``: bytes of a pair at full
-    size and quality, as of a video. ``datagrams``: not over TCP.
+    ``busy``: seconds between two reads of a client's socket. ``full``: bytes of a pair at full size and quality.
+    ``datagrams``: replace TCP.
     """
     clients = [_Client(policy, getattr(policy, "window", 8), seed * 100 + i) for i, policy in enumerate(policies)]
     starts = starts or [0.003 * i for i in range(len(policies))]
@@ -168,7 +168,7 @@ class _Simulation:
     ) -> None:
         self._link, self._clients, self._datagrams = link, clients, datagrams
         self._end, self._busy, self._full = WARM_UP + seconds, busy, full
-        self._free = 0.0  # when the bottleneck has sent what it was given
+        self._free = 0.0  # time when the bottleneck's queue is empty
         self._now = 0.0
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = count()
@@ -294,7 +294,7 @@ class _Simulation:
         self._at(arrives, arrived)
 
     def _sent(self, begin: float, nbytes: float) -> float:
-        """When the bottleneck has sent that, in steps of 2 ms, as its rate may change."""
+        """Return when the bottleneck has sent ``nbytes``, in steps of 2 ms, as its rate may change."""
         bits, now, step = 8.0 * nbytes, begin, 0.002
         while True:
             rate = self._link.rate(now) * 1e6
@@ -304,7 +304,7 @@ class _Simulation:
             now += step
 
     def _through(self, client: _Client, begin: float, nbytes: int) -> float:
-        """When all of a picture is there, with what is lost sent again."""
+        """Return when a whole picture has arrived, with lost packets sent again."""
         trip, loss = self._link.round_trip, self._link.loss
         done = self._free + trip / 2
         if not loss:
@@ -315,7 +315,7 @@ class _Simulation:
         for index in range(packets):
             if client.chance.random() >= loss:
                 continue
-            at = begin + each * (index + 1) + trip / 2  # when it would have come
+            at = begin + each * (index + 1) + trip / 2  # its arrival without loss
             again = at + (3 * each + trip if packets - index > 3 else 2 * trip + 0.01)
             while client.chance.random() < loss:
                 again += 0.2 + trip
@@ -325,5 +325,5 @@ class _Simulation:
 
 
 def draw_time(scale: float) -> float:
-    """Seconds, for a pair of that scale."""
+    """Return the seconds of drawing a pair at ``scale``."""
     return DRAW * (0.18 + 0.82 * scale**2)

@@ -1,1 +1,1 @@
-"""Other programs, held against ours by hand."""
+"""Compare glsplat with other programs, by hand."""

@@ -1,10 +1,10 @@
-"""Frames of glsplat against those of other viewers of splats, in turns in one run: docs/measured/peers.md. By hand.
+"""Measure frames of glsplat and of other splat viewers, interleaved in one run: docs/measured/peers.md. By hand.
 
     python -m tools.peers FOLDER [SIDE ...]        # minutes of a quiet machine
 
-FOLDER is where npm installs the others, and where a picture of each is left to look at. The embedded avatar, all
-40,000 splats: standing for all, and walking for those that can, which are the page and glsplat's own renderer. That one
-draws, reads back and encodes as a server does.
+FOLDER is where npm installs the others, and where a picture of each is written. All draw the 40,000 splats of the
+embedded avatar standing; the page and glsplat's own renderer also draw it walking. That renderer draws, reads back and
+encodes as a server does.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ MODULES = {
 }
 OWN = "`Renderer` and JPEG, walking"
 ROUNDS, FRAMES = 4, 8
-STANDING = 7  # frame of the walk in which it stands for all
+STANDING = 7  # frame of the walk for the still pose
 SCOPES = {"/npm/@mkkellogg/": {"three": MODULES["older"]}}
-VIEWS = {"whole": (2.7, 1.05), "near": (1.2, 1.45)}  # metres away, and up
+VIEWS = {"whole": (2.7, 1.05), "near": (1.2, 1.45)}  # metres away, metres up
 
 
 class _Handler(SimpleHTTPRequestHandler):
@@ -69,7 +69,7 @@ class _Handler(SimpleHTTPRequestHandler):
 
 
 def write_site(folder: Path) -> None:
-    """Write the page and what it shows: /data, this package's page as /vr, and the others' packages as /npm."""
+    """Write the page and its data as /data, glsplat's page as /vr, and the others' packages as /npm."""
     avatar = glsplat.default_avatar()
     walk = load_motion("walk", avatar.skeleton)
     html = f'<!doctype html><script type="importmap">{json.dumps({"imports": MODULES, "scopes": SCOPES})}</script>'
@@ -99,7 +99,7 @@ class Own:
         self._side, self._distance, self._height = side, distance, height
 
     def run(self, frames: int, first: int, of: int) -> list[float]:
-        """Milliseconds of each frame."""
+        """Return the ms of each frame."""
         found = []
         for frame in range(first, first + frames):
             angle = 2 * np.pi * frame / of
@@ -117,13 +117,13 @@ class Own:
 
 
 def cpu_seconds() -> float:
-    """CPU seconds that this process and all below it have taken: other load on the machine does not count in it."""
+    """Return the CPU seconds of this process and its children, which exclude other load on the machine."""
     me = psutil.Process()
     return sum(sum(one.cpu_times()[:2]) for one in (me, *me.children(recursive=True)))
 
 
 def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple[float, float]]:
-    """By name, median and CPU milliseconds a frame; all in turn, in ROUNDS rounds."""
+    """Return median and CPU ms per frame by name; viewers take turns in ROUNDS rounds."""
     distance, height = view
     where = {"distance": distance, "height": height}
     names = page.evaluate("(question) => prepare(question)", {"side": side, **where})
@@ -145,7 +145,7 @@ def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple
 
 
 def compared(folder: Path, sides: list[int]) -> Iterator[Table]:
-    """One table a size; leaves a picture of each viewer in the folder."""
+    """Yield a table per size, and write a picture of each viewer into the folder."""
     if not (folder / "node_modules").is_dir():
         subprocess.run(["npm", "install", "--silent", "--prefix", str(folder), *PACKAGES], check=True)
     write_site(folder)
@@ -192,7 +192,7 @@ def main(folder: Path, sides: list[int]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Measure other viewers beside glsplat; minutes of a quiet machine.")
-    parser.add_argument("folder", type=Path, help="where npm installs them, and a picture of each is left")
-    parser.add_argument("sides", type=int, nargs="*", default=[512, 1024], help="pixels a side")
+    parser.add_argument("folder", type=Path, help="for npm packages and a picture of each viewer")
+    parser.add_argument("sides", type=int, nargs="*", default=[512, 1024], help="side in pixels")
     args = parser.parse_args()
     main(args.folder, args.sides)

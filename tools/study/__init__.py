@@ -1,1 +1,1 @@
-"""A whole study by scripts."""
+"""Make the reference figures of a study's analysis."""

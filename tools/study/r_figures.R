@@ -1,5 +1,5 @@
-# What R says of a made-up study: Rscript r_figures.R FOLDER; each FOLDER/N.csv becomes FOLDER/N.json.
-# The transform is written anew here; tests and contrasts are those of aov, car, lme4 with pbkrtest, and emmeans.
+# Analyse studies by R: Rscript r_figures.R N.csv ...; each N.csv becomes N.json.
+# The transform is reimplemented here; tests and contrasts are those of aov, car, lme4 with pbkrtest, and emmeans.
 suppressPackageStartupMessages({library(lme4); library(car); library(emmeans); library(pbkrtest); library(jsonlite)})
 options(contrasts = c("contr.sum", "contr.poly"))
 emm_options(lmer.df = "kenward-roger", pbkrtest.limit = 1e5)
@@ -79,7 +79,7 @@ for (path in commandArgs(TRUE)) {
       s <- quiet(pairs_of(lm(as.formula(paste("r ~", right)), e)))
       if (!is.null(s)) add("rm_contrasts", effect, rows(s))
     } else if (complete && equal && (all(effect %in% outside) || all(effect %in% inside))) {
-      # where an effect spans strata, emmeans of aov is biased (its documentation warns); lmer's figure is right there
+      # emmeans of aov is biased for effects that span strata (its documentation warns); lmer's is right there
       own <- if (any(effect %in% inside) && all(effect %in% inside)) "cat" else NULL
       stratum <- paste(c(own, setdiff(inside, effect)), collapse = "*")
       error <- if (nchar(stratum)) paste0("Error(participant/(", stratum, "))") else "Error(participant)"

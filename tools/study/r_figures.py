@@ -1,8 +1,8 @@
-"""Run R on the made-up studies of tests/extras/study/analysis/designs.py: python -m tools.study.r_figures [FIRST LAST]
+"""Run R on the random studies of tests/extras/study/analysis/designs.py: python -m tools.study.r_figures [FIRST LAST]
 
 Needs R with car, emmeans, jsonlite, lme4 and pbkrtest (Debian: r-base-core and r-cran-NAME). Writes
-tests/extras/study/analysis/data/r_figures.json, which the tests compare with. About a quarter of an hour for 200 on
-an idle core; the file that is there has 136 of them.
+tests/extras/study/analysis/data/r_figures.json, which tests use. All 200 take a quarter of an hour on an idle core; the
+committed file has 136 of them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BATCH = 4
 
 
 def figures(numbers: Iterable[int], folder: Path) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """What R says of some studies."""
+    """Return R's results of some studies, by number."""
     paths = {number: folder / f"{number}.csv" for number in numbers}
     for number, path in paths.items():
         made = design(number)
@@ -35,12 +35,12 @@ def figures(numbers: Iterable[int], folder: Path) -> dict[str, dict[str, dict[st
             writer.writerows([name, *levels, "" if value is None else repr(value)] for name, levels, value in made.rows)
     subprocess.run(["Rscript", "--vanilla", str(HERE / "r_figures.R"), *map(str, paths.values())], check=True)
     said = {str(number): json.loads(path.with_suffix(".json").read_text()) for number, path in paths.items()}
-    # R writes an empty list as []
+    # R writes an empty list as [], not {}
     return {number: {kind: dict(rows) for kind, rows in kinds.items()} for number, kinds in said.items()}
 
 
 def main(first: int = 0, last: int = COUNT) -> None:
-    """All of them, or those from the first to before the last."""
+    """Update the results of the studies from ``first`` to before ``last``."""
     known = json.loads(TARGET.read_text()) if TARGET.exists() else {}
     for begin in each(range(first, last, BATCH), "batches"):
         with tempfile.TemporaryDirectory() as folder:

@@ -8,5 +8,5 @@ from glsplat.net.options import ServerConfig
 
 
 def features(config: ServerConfig) -> list[Feature]:
-    """Return the features of this extra that every server has."""
+    """Return the features of this extra, for every server."""
     return [SplatFiles()]

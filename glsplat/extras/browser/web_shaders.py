@@ -1,7 +1,7 @@
-"""Every program that a page can ask for, as one object of JSON: the same chunks, assembled for WebGL2 (GLSL ES 3.00).
+"""All programs of the page as one JSON object: the same chunks, assembled for WebGL2 (GLSL ES 3.00).
 
-A program's variants share its text: what differs is their #defines. ``web/draw/programs.js`` puts head, defines and
-body together; the text is what ``flatten`` gives, byte for byte.
+A program's variants share its text and differ in their #defines. ``web/draw/programs.js`` joins head, defines and body;
+the text is that of ``flatten``, byte for byte.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ Row = tuple[str, tuple[str, ...], tuple[str, ...], Variant | SkinVariant | Resol
 
 
 def page_variants() -> Iterator[Row]:
-    """(name, its stages, what it captures, variant) of each program of the page.
+    """Yield (name, stages, captured outputs, variant) of each program of the page.
 
-    Names are what the page asks by: "skin INFLUENCES TURNED SHAPED", "place", "project DEGREE ANTIALIAS VIEWS LIT",
+    The page's names are "skin INFLUENCES TURNED SHAPED", "place", "project DEGREE ANTIALIAS VIEWS LIT",
     "splat SHARED_RGB ANTIALIAS VIEWS TRIANGLE" and "resolve".
     """
     for influences in (1, 2, 4, 8):
@@ -62,9 +62,9 @@ def page_variants() -> Iterator[Row]:
 
 @cache
 def page_programs() -> dict[str, Any]:
-    """{"head", "stages": {name: body}, "programs": {name: {"stages", "captured", "defines"}}, "units", ...}.
+    """Return {"head", "stages": {name: body}, "programs": {name: {"stages", "captured", "defines"}}, "units", ...}.
 
-    ``defines`` has those flags alone that a stage reads, by stage. Not to be changed.
+    ``defines`` has only the flags that a stage reads, by stage. The result is cached: do not change it.
     """
     stages: dict[str, str] = {}
     programs: dict[str, Any] = {}
@@ -91,5 +91,5 @@ def page_programs() -> dict[str, Any]:
 
 
 def programs_json() -> bytes:
-    """``page_programs`` as the page fetches it, draw/programs.json."""
+    """Return ``page_programs`` as JSON, the page's draw/programs.json."""
     return json.dumps(page_programs(), separators=(",", ":")).encode()

@@ -1,4 +1,4 @@
-"""SHA-256 of the arrays of a file's finest level, which show a person's appearance."""
+"""SHA-256 of the arrays of a file's finest level, which hold a person's appearance."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4")
 def level_digest(container: Container) -> tuple[str, bool]:
     """Return the SHA-256 (hex) of the attribute arrays of level 0, and whether the file shows anything else.
 
-    Hashed are the primitives with splats in the order of the default scene, their attributes in the file's order,
-    elements packed without padding; SPZ: its packed bytes; an accessor without data, which means zeros (glTF 2.0,
-    5.1.1): "zeros TYPE CODE COUNT". A file without splats is hashed by its triangles. Raises FormatError for missing
+    The hash covers the primitives with splats in the order of the default scene, their attributes in the file's order,
+    elements packed without padding; of SPZ its packed bytes; of an accessor without data, which means zeros (glTF 2.0,
+    5.1.1), "zeros TYPE CODE COUNT". A file without splats is hashed by its triangles. Raises FormatError for missing
     arrays.
     """
     gltf = container.gltf

@@ -1,4 +1,4 @@
-"""The consent record in a .glb: read, checked against the content, and written without changing anything else."""
+"""Read the consent record in a .glb, check it against the content, and write it without any other change."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from glsplat.formats.gltf.output import CONSENT
 from glsplat.io.files import naming, open_regular, replace_file
 
 NONE = "no consent on file"
-"""Shown, also in pictures, where a consent is missing."""
+"""Shown, also in pictures, if a consent is missing."""
 
 _ONLY_GLB = "a consent is kept in .glb files alone; convert it first (glsplat convert IN OUT.glb)"
 _DAMAGED = "its consent is for something else: the file was changed after it was signed"
@@ -35,7 +35,7 @@ class OnFile:
     """The consent of a file, or the reason why it has none."""
 
     consent: Consent | None = None
-    fault: str = ""  # why no consent is valid; "" with a valid one, or where nobody is shown
+    fault: str = ""  # why no consent is valid; "" with a valid one, or without a real person
     nobody: bool = False  # a file of glsplat that shows a synthetic person, who need not agree
 
     @property
@@ -84,7 +84,7 @@ def sign_data(
     drivers: list[str],
     hand_out: bool = False,
 ) -> bytes:
-    """Return a .glb with a new record. The binary chunk keeps its bytes; the JSON is written anew.
+    """Return a .glb with a new record. The binary chunk keeps its bytes; the JSON is rewritten.
 
     Raises FormatError for other files, for a .glb that needs further files or shows nothing, and for invalid fields.
     """

@@ -1,4 +1,4 @@
-"""Decide which avatars may be shown, and who may drive them; asked for every picture. No I/O."""
+"""Decide which avatars may be shown, and who may drive them; called for every picture. No I/O."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glsplat.extras.consent.keys import short
 class ConsentPolicy:
     """Consents of a server's avatars, by name.
 
-    ``trusted`` are the public keys (hexadecimal) whose signatures count; None: any valid signature. ``without`` shows
+    ``trusted`` are the public keys (hexadecimal) of accepted signatures; None: any valid signature. ``without`` shows
     every avatar, with a ``label`` in the pictures of those without a valid consent.
     """
 
@@ -48,7 +48,7 @@ class ConsentPolicy:
         return self.without or not self._driven.get(avatar) or all(one.lets(driver) for one in consents)
 
     def withheld(self, avatar: str, now: float) -> str | None:
-        """Return why viewers may not receive the splats of ``avatar``; None if they may. ``without`` does not count."""
+        """Return why viewers may not receive the splats of ``avatar``; None if they may. Ignores ``without``."""
         if why := self._refusal(avatar, None, now):
             return why
         if not all(one.hands_out for one in self._people[avatar]):
@@ -62,7 +62,7 @@ class ConsentPolicy:
         return NONE if self._refusal(avatar, driver, time.time() if now is None else now) else ""
 
     def check(self, avatar: str, now: float) -> None:
-        """Raise GlsplatError if ``avatar`` may be shown to nobody."""
+        """Raise GlsplatError if ``avatar`` may not be shown at all."""
         if not self.without and (why := self._refusal(avatar, None, now)):
             raise GlsplatError(
                 f"{why}; sign one (glsplat avatar consent, or --mine of avatar photo), or serve it with "

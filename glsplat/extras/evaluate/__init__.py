@@ -1,4 +1,4 @@
-"""Measuring: truth, differences, scores and timing series. Nothing at run time imports it."""
+"""Measurements: truth, differences, scores and timing series. Run-time code does not import it."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""The poses avatars are scored in: named, fixed, and none of them within what the fit draws at random.
+"""The poses in which avatars are scored: named, fixed, and outside the fit's random poses.
 
-Axis-angle in radians on the SMPL-X joints; LEFT is mirrored to the right unless a pose names the right side itself.
+Axis-angle in radians on the SMPL-X joints; left joints are mirrored to the right unless a pose has the right one.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
 Rotations = dict[str, tuple[float, float, float]]
-"""Axis-angle a joint, radians."""
+"""Axis-angle by joint, radians."""
 
 _FINGERS = ("index", "middle", "ring", "pinky")
 
 
 def fist(side: str, amount: float) -> Rotations:
-    """Fingers bent by ``amount`` radians a joint."""
+    """Return the rotations of fingers bent by ``amount`` radians per joint."""
     sign = 1.0 if side == "left" else -1.0
     curl = {f"{side}_{finger}{i}": (0.0, 0.0, -sign * amount) for finger in _FINGERS for i in (1, 2, 3)}
     return {
@@ -96,16 +96,16 @@ SCORE_POSES: dict[str, Rotations] = {
         "left_eye_smplhf": (0, 0.3, 0),
     },
 }
-"""Joint rotations a pose; a left joint without its right twin stands for both."""
+"""Joint rotations by pose; a left joint without its right twin stands for both."""
 
 
 def score_pose(name: str, skeleton: Skeleton) -> Pose:
-    """A pose of SCORE_POSES on any rig; joints the rig lacks are left out."""
+    """Return a pose of SCORE_POSES on any rig, without the joints that the rig lacks."""
     return pose_of(SCORE_POSES[name], skeleton)
 
 
 def pose_of(given: Rotations, skeleton: Skeleton) -> Pose:
-    """Named rotations on any rig: a left joint without its right twin stands for both."""
+    """Return named rotations as a pose of any rig; a left joint without its right twin stands for both."""
     rotations = np.zeros((len(skeleton), 3))
     index = {joint: i for i, joint in enumerate(skeleton.names)}
     for joint, (x, y, z) in given.items():

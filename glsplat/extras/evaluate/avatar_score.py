@@ -1,4 +1,4 @@
-"""An avatar against the textured mesh it was made from, in poses the fit has not seen."""
+"""Score an avatar against the textured mesh it was made from, in poses outside the fit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.skin import strongest_joint
 
 DISTANCE = 3.0  # metres from the middle of the figure
-FILL = 0.94  # of the picture the figure takes, in its longer direction
+FILL = 0.94  # share of the picture that the figure takes, in its longer direction
 FIRST, LIFT = 15.0, 8.0  # degrees: azimuth of the first view, elevation of all
 FACE = ("head", "jaw", "left_eye", "right_eye")
 HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
@@ -29,7 +29,7 @@ HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AvatarScore:
-    """One pose in one view: the figures, and the pictures they come from."""
+    """Scores of one pose in one view, with both pictures."""
 
     pose: str
     azimuth: float  # degrees, 0 is the front, growing towards the left hand
@@ -40,7 +40,7 @@ class AvatarScore:
     avatar: NDArray[np.float32]  # [H, W, 3] in [0, 1]
     mesh: NDArray[np.float32]
     face: float | None = None  # dB over the box around the head; None for a rig without one
-    finest: float | None = None  # dB over the whole picture against the finest level drawn exactly; None: it is that
+    finest: float | None = None  # dB over the whole picture against ``finest`` of ``score``; None without it
 
 
 def score(
@@ -53,9 +53,9 @@ def score(
     grey: float = 0.0,
     finest: Renderer | None = None,
 ) -> Iterator[AvatarScore]:
-    """Every pose in every view; the renderers have one square size and give float32.
+    """Yield a score for every pose and view; all renderers have one square size and float32 output.
 
-    ``finest`` draws the avatar exactly, where ``renderer`` draws less of it.
+    ``finest`` draws the avatar exactly, if ``renderer`` draws less of it. Raises FormatError if the joints differ.
     """
     if avatar.skeleton.names != mesh.skeleton.names:
         raise FormatError(
@@ -90,7 +90,7 @@ def score(
 
 
 def camera_around(points: F64, azimuth: float, size: int, grey: float = 0.0) -> Camera:
-    """A camera DISTANCE away that the figure ``points`` [N, 3] just fills."""
+    """Return a camera DISTANCE away that the figure ``points`` [N, 3] just fills; ``azimuth`` in degrees."""
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     turn, lift = np.radians((azimuth, LIFT))
     direction = np.array([np.cos(lift) * np.sin(turn), np.sin(lift), np.cos(lift) * np.cos(turn)])
@@ -102,7 +102,7 @@ def camera_around(points: F64, azimuth: float, size: int, grey: float = 0.0) -> 
 
 
 def _box(points: F64, camera: Camera) -> Box:
-    """Rows and columns that hold ``points`` [N, 3], and two pixels around them for what blurs outwards."""
+    """Return the rows and columns that hold ``points`` [N, 3], with two pixels around them for blur."""
     seen = points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     pixel = (seen @ camera.K.T)[:, :2] / np.maximum(seen[:, 2:], 1e-6)
     low = np.clip(np.floor(pixel.min(axis=0)) - 2, 0, camera.width - 8).astype(int)
@@ -116,9 +116,9 @@ def compare(
     body: Box,
     hands: list[Box],
 ) -> tuple[float, float | None, float]:
-    """PSNR over ``body``, PSNR over ``hands`` taken together, SSIM over ``body``, of pictures [H, W, 3] in [0, 1].
+    """Return PSNR over ``body``, PSNR over all ``hands``, and SSIM over ``body`` of pictures [H, W, 3] in [0, 1].
 
-    SSIM without the pixels along the picture's border, as ``metrics.structure`` says.
+    SSIM leaves out the pixels along the picture's border (``metrics.structure``).
     """
     square = (picture.astype(np.float64) - wanted) ** 2
     inside = [square[box].reshape(-1) for box in hands]

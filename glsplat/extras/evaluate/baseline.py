@@ -1,7 +1,7 @@
-"""Two baselines that a solver has to beat: the template glued to the head, and a naive inverse kinematics.
+"""Two baselines that a solver has to beat: the template glued to the head, and naive inverse kinematics.
 
-They give positions only. Both are told more than a headset knows, the true body of the first frame, unless they begin
-from the rest pose.
+They give positions only. Unless they begin from the rest pose, both get the true body of the first frame, which no
+headset knows.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ _FINGERS = (range(25, 40), range(40, 55))
 
 
 def baseline(truth: TrueMotion, kind: Literal["glued", "naive"], rest: Body | None = None) -> Array:
-    """Joint positions [T, 55, 3], metres, world frame, estimated from the true head and wrists.
+    """Return joint positions [T, 55, 3], metres, world frame, estimated from the true head and wrists.
 
-    glued: the body of the first frame, turned by a smoothed head yaw, hung on the head; wrists at the hands. naive: a
-    yaw follower, a torso of fixed length under the head, two-bone arms with an elbow guessed from a straight wrist, and
-    feet that step with the pelvis. ``rest``: a body whose rest pose, standing under the head, takes the place of the
-    first frame, which no device sees.
+    glued: the body of the first frame hangs on the head, turned by a smoothed head yaw, with wrists at the hands.
+    naive: a yaw follower, a torso of fixed length under the head, two-bone arms with an elbow guessed from a straight
+    wrist, and feet that step with the pelvis. ``rest``: a body whose rest pose replaces the first frame.
     """
     solver = _Naive(truth, rest)
     return np.stack([solver.frame(k, kind) for k in range(len(truth.times))])
@@ -149,14 +148,14 @@ def _wrapped(angle: float) -> float:
 
 
 def _frame(across: Array, up: Array) -> Array:
-    """[3, 3] with y along ``up`` and x as near to ``across`` as that allows."""
+    """Return a rotation [3, 3] with y along ``up`` and x as near to ``across`` as possible."""
     y = unit_vectors(up)
     z = unit_vectors(np.cross(across, y))
     return np.stack([np.cross(y, z), y, z], 1)
 
 
 def _two_bone(root: Array, end: Array, a: float, b: float, pole: Array) -> tuple[Array, Array]:
-    """Middle joint and (reachable) end."""
+    """Return the middle joint and the reachable end."""
     line = unit_vectors(end - root)
     far = float(np.clip(np.linalg.norm(end - root), abs(a - b) + 1e-3, (a + b) * 0.999))
     along = (a * a - b * b + far * far) / (2 * far)

@@ -1,4 +1,4 @@
-"""How far a picture is from the float64 reference, and which settings no other one beats."""
+"""The difference of a picture from the float64 reference, and Pareto fronts."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ PSNR_CAP = 160.0
 
 @dataclass(frozen=True)
 class Difference:
-    """Pictures [V, H, W, 4] against what they should be. Not clipped, except for FLIP, which is about displays."""
+    """Differences of pictures [V, H, W, 4] from a reference; clipped to [0, 1] only for FLIP."""
 
-    psnr: float  # dB over RGB, of 1
+    psnr: float  # dB over RGB, for a peak of 1
     mean: float  # absolute, over RGB and alpha
     maximum: float  # absolute, over RGB and alpha
     beyond: float  # share of pixels with a channel off by more than 1/255
-    flip: float | None  # mean over the first view; None where it was not asked for
+    flip: float | None  # mean over the first view; None: not computed
 
     @classmethod
     def of(cls, image: NDArray[Any], expected: NDArray[np.float64], flip: bool = True) -> Difference:
-        """Raises GlsplatError for pictures of different shapes; what is not finite counts as an error of 1e3."""
+        """Return the difference; non-finite values count as an error of 1e3. Raises GlsplatError for unequal shapes."""
         if image.shape != expected.shape:
             raise GlsplatError(f"pictures to compare need one shape, not {image.shape} and {expected.shape}")
         scaled = image / 255.0 if image.dtype == np.uint8 else image.astype(np.float64)
@@ -51,7 +51,7 @@ class Difference:
 
     @classmethod
     def worst(cls, several: Sequence[Difference]) -> Difference:
-        """Each figure at its worst, over several frames."""
+        """Return the worst value of each measure over several frames."""
         flips = [d.flip for d in several if d.flip is not None]
         return cls(
             psnr=min(d.psnr for d in several),
@@ -63,12 +63,12 @@ class Difference:
 
     @property
     def contract(self) -> bool:
-        """Within the gate of a 32F target (docs/conventions.md)."""
+        """Whether the picture is within the gate of a 32F target (docs/conventions.md)."""
         return self.psnr >= 65 and self.mean <= 1e-4 and self.beyond <= 0.003 and self.maximum <= 0.06
 
 
 def reference_pictures(scene: Splats | Avatar, views: Sequence[Camera], pose: Pose | None) -> NDArray[np.float64]:
-    """Return [V, H, W, 4] in float64 under the pixel contract, with all influences."""
+    """Return pictures [V, H, W, 4] in float64 under the pixel contract, with all influences."""
     if not isinstance(scene, Avatar):
         return reference.render(splats_of(scene), views)
     bones = (pose or Pose.zero(len(scene.skeleton))).bones(scene.skeleton)
@@ -76,10 +76,7 @@ def reference_pictures(scene: Splats | Avatar, views: Sequence[Camera], pose: Po
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the (cost, quality) points that no other beats: none is as cheap and better, or as good and cheaper.
-
-    In the order of cost.
-    """
+    """Return the indices of the (cost, quality) points on the Pareto front, in the order of cost."""
     order = sorted(range(len(points)), key=lambda i: (points[i][0], -points[i][1]))
     front: list[int] = []
     for i in order:
@@ -89,11 +86,11 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def require_extra() -> None:
-    """Raise GlsplatError where a package of the report is not installed."""
+    """Raise GlsplatError if a package of the report is not installed."""
     for package in ("flip_evaluator", "matplotlib"):
         require_package("the report", package, "report")
 
 
 def _shown(views: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The colours of the first view as a display shows them."""
+    """Return the first view's colours, clipped to [0, 1]."""
     return np.clip(np.nan_to_num(views[0, ..., :3]), 0, 1)

@@ -1,4 +1,4 @@
-"""What a frame costs, stage by stage: paired series of renderers that take turns on one context."""
+"""Cost of a frame by stage, measured by renderers that take turns on one context."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "re
 
 @dataclass(frozen=True)
 class Series:
-    """Milliseconds of one thing, many times."""
+    """Statistics of repeated measurements in milliseconds."""
 
     median: float
     p95: float
@@ -36,13 +36,13 @@ class Series:
 
     @classmethod
     def of(cls, values: Sequence[float], cpu: Sequence[float] = ()) -> Series:
-        """Statistics of the samples."""
+        """Return statistics of samples in ms."""
         median, p95 = float(np.median(values)), float(np.percentile(values, 95))
         return cls(round(median, 3), round(p95, 3), round(float(np.median(cpu)), 3) if len(cpu) else None)
 
     @classmethod
     def of_times(cls, times: Sequence[tuple[float, float]]) -> Series:
-        """Statistics of what ``timed`` returned."""
+        """Return statistics of times by ``timed``."""
         return cls.of([wall for wall, _ in times], [cpu for _, cpu in times])
 
 
@@ -59,7 +59,7 @@ def halves_apart(values: Sequence[float]) -> float:
 
 
 def triangles_of(scene: SceneLike) -> int:
-    """Triangles of the visible meshes."""
+    """Return the number of triangles of visible meshes."""
     items = (item for item in Scene.of(scene) if item.visible)
     return sum(len(item.content.faces) for item in items if isinstance(item.content, RiggedMesh))
 
@@ -72,7 +72,7 @@ class Bench:
         self._config = config or RenderConfig()
 
     def kinds(self, scene: Content, motion: Motion | None) -> list[tuple[str, Content, list[Pose | None]]]:
-        """(name, scene, poses): static, and an avatar in ``motion`` as well."""
+        """Return (name, scene, poses) of the static scene and, for an avatar, of it in ``motion``."""
         frames = self._frames + WARM_UP
         still = scene.splats if isinstance(scene, Avatar) else scene
         out: list[tuple[str, Content, list[Pose | None]]] = [("static", still, [None] * frames)]
@@ -89,7 +89,7 @@ class Bench:
         views: int,
         pose_at: Callable[[float], None] | None = None,  # plays the motions of the scene, in seconds
     ) -> dict[str, Any]:
-        """Whole frame, draw floor, stages, and the pair (or the one view) against single renders."""
+        """Return times of whole frames, of the draw alone, of stages, and of one render per view, as JSON values."""
         pair, single, staged = (
             self._renderer(scene, pixels, n, timed) for n, timed in ((views, 0), (1, 0), (views, 1))
         )
@@ -109,7 +109,7 @@ class Bench:
                 single.render([eye], pose)
                 two += single.timings["total"]
             staged.render(eyes, pose)
-            # once more with nothing moved: no skinning, no sorting
+            # render an unmoved frame: no skinning, no sorting
             pair.render(eyes, pose)
             unmoved, unmoved_apart = pair.timings["total"], self._unmoved(single, eyes, pose)
             if i < WARM_UP:
@@ -155,7 +155,7 @@ class Bench:
         return row
 
     def _unmoved(self, renderer: Renderer, eyes: Sequence[Camera], pose: Pose | None) -> float:
-        """Two single renders of an unmoved scene: each eye is drawn twice and its second time counts."""
+        """Return the ms of one render per eye of an unmoved scene: each eye is drawn twice, the second time counts."""
         total = 0.0
         for eye in eyes:
             renderer.render([eye], pose)
@@ -167,6 +167,6 @@ class Bench:
         return Probe(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
 
     def eyes(self, scene: SceneLike, pixels: tuple[int, int], frame: int) -> list[Camera]:
-        """The pair of a head that orbits one degree a frame."""
+        """Return the pair of cameras of a head that orbits by one degree per frame."""
         eye, target = viewing_point(scene, FOV)
         return view_of(orbited(eye, target, np.radians(frame)), target, pixels, FOV, ipd=0.055)

@@ -1,7 +1,7 @@
-"""Light: how much of it reaches the vertices of a posed mesh, so that ground truth can be as lit as a photograph.
+"""Light a posed mesh as in a photograph: ambient sky and ground, and a far lamp.
 
-Sky and ground from all around, one far lamp with wrapped Lambert falloff and a soft shadow; no highlights. The factors
-are for ``MeshTruth.render(..., shade=...)``.
+The lamp has wrapped Lambert falloff and a soft shadow; there are no highlights. The factors are for
+``MeshTruth.render(..., shade=...)``.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh, vertex_normals
 
 _WRAP = 0.15  # of Lambert's cosine: (n . l + wrap) / (1 + wrap)
-_FAR, _MAP, _BIAS = 60.0, 768, 0.012  # of the lamp: metres away, pixels of its depth map, metres of doubt
-_TAPS = (-2, 0, 2)  # pixels, in both directions: what makes the shadow soft
+_FAR, _MAP, _BIAS = 60.0, 768, 0.012  # of the lamp: distance in m, side of its depth map in pixels, depth bias in m
+_TAPS = (-2, 0, 2)  # pixels in both directions, for a soft shadow
 
 
 @dataclass(frozen=True)
 class CaptureLight:
-    """The light of a capture: linear light, 1 is what a white surface needs to look white."""
+    """The light of a capture, linear; 1 makes a white surface look white."""
 
     towards: tuple[float, float, float]  # to the lamp, of any length, in the world of the posed mesh
     colour: tuple[float, float, float]  # of the lamp
@@ -34,7 +34,7 @@ class CaptureLight:
 
     @classmethod
     def of_note(cls, note: Mapping[str, Any]) -> CaptureLight:
-        """Of the "light" of a participant's capture note: direction_to and colour."""
+        """Return the "light" of a capture's note (direction_to, colour). Raises GlsplatError."""
         try:
             x, y, z = map(float, note["direction_to"])
             red, green, blue = map(float, note["colour"])
@@ -46,7 +46,7 @@ class CaptureLight:
 
 
 def shade_of(mesh: RiggedMesh, vertices: F64, light: CaptureLight) -> F64:
-    """[V, 3] linear-light factors of a mesh whose ``vertices`` [V, 3] are posed, metres, y up."""
+    """Return linear-light factors [V, 3] of a mesh with posed ``vertices`` [V, 3], metres, y up."""
     normals = vertex_normals(vertices, mesh.faces)
     lamp = np.asarray(light.towards, np.float64)
     lamp = lamp / np.linalg.norm(lamp)
@@ -56,7 +56,7 @@ def shade_of(mesh: RiggedMesh, vertices: F64, light: CaptureLight) -> F64:
 
 
 def _reached(mesh: RiggedMesh, vertices: F64, lamp: F64) -> F64:
-    """[V] share of the lamp's light that nothing of the mesh is in the way of."""
+    """Return the share of the lamp's light that reaches each vertex [V], by a shadow map."""
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     radius = np.linalg.norm(vertices - middle, axis=1).max() + 0.05
     focal = _MAP / 2 * _FAR / radius

@@ -1,8 +1,8 @@
 """Work and precision: time and error of the combinations of settings that a user can choose, and their Pareto front.
 
-A full product is too large. A coarse grid of levels, hidden splats and cut-offs is drawn for few frames; then ways that
-differ in one setting from four of its front, until there are enough; then the front for many frames, with JPEGs on top.
-Settings take turns frame by frame with the default, and a time is the median ratio to the default of the same turn.
+The full product is too large. The search draws few frames of a coarse grid of levels, hidden splats and cut-offs, then
+of ways that differ in one setting from four of the front, until there are enough; the front is then measured over many
+frames, with JPEGs. Settings take turns frame by frame with the default; times are median ratios to the same turn's.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ VISIBLE_LPIPS, VISIBLE_PSNR = 0.01, 40.0
 """An error is not visible up to this LPIPS (JPEG of quality 80: 0.008); without its weights, from this PSNR in dB."""
 
 FIRST = 28
-"""The first frame of a series: a multiple of every re-sort period."""
+"""The first frame of a series: a multiple of every sort period."""
 
 COMPARED = 31
-"""The frame that is compared with float64: the last before a sort, so an old order is at its oldest.
+"""The frame that is compared with float64: the last before a sort, when a kept order is oldest.
 
-Under a given camera the one before: even frames are exactly that camera.
+With given cameras it is the frame before: even frames have exactly those cameras.
 """
 
 _BLOCK = 12  # ways that take turns in the search
-_NEAR = 1.05  # times as slow as the front: still a candidate, as the search is short
+_NEAR = 1.05  # slowdown against the front up to which a way is a candidate, as the search is short
 _MOST = 14  # candidates of the search
 _ENOUGH = 40  # ways of the search
-_LONGEST = 4  # times the frames, while the default differs too much from itself
+_LONGEST = 4  # limit of rounds, while the default differs too much from itself
 
 
 @dataclass(frozen=True)
@@ -64,23 +64,23 @@ class Way:
     """A combination of settings."""
 
     level: int = 0
-    hidden: bool = False  # hidden splats are culled
+    hidden: bool = False  # cull hidden splats
     sigma: float = MAX_SIGMA
     target: Literal["8", "16f", "32f"] = "32f"
     bits: Literal[16, 32] = 32  # of the sort key
     period: int = 1  # frames from sort to sort
     degree: int = 3  # of SH, at most
     scale: float = 1.0  # of the picture's sides; enlarged bicubically
-    jpeg: tuple[int, str] | None = None  # quality and chroma of the picture that is sent
+    jpeg: tuple[int, str] | None = None  # quality and chroma; None: not encoded
 
     @property
     def drawn(self) -> Way:
-        """The same before it is encoded."""
+        """The way without its JPEG."""
         return replace(self, jpeg=None)
 
     @property
     def method(self) -> str:
-        """All settings but level and size, which are the parameters along a curve; of a JPEG all but its quality."""
+        """All settings but the parameters along a curve: level and size, or a JPEG's quality."""
         parts = ["no hidden splats"] if self.hidden else []
         parts += [f"{self.sigma:g} sigma"] if self.sigma != MAX_SIGMA else []
         parts += [f"target {self.target}"] if self.target != "32f" else []
@@ -98,20 +98,20 @@ class Way:
 
     @property
     def words(self) -> str:
-        """What differs from the defaults of ``render``."""
+        """The settings that differ from the defaults of ``render``."""
         jpeg = [f"q{self.jpeg[0]} {self.jpeg[1]}"] if self.jpeg else []
         rest = self.drawn.method
         return ", ".join([*self.where, *([] if rest == "all splats" else [rest]), *jpeg]) or "default"
 
     def config(self, base: RenderConfig, output: Literal["float32", "uint8"] = "uint8") -> RenderConfig:
-        """Return the renderer's settings; what a way has no word for is that of ``base``."""
+        """Return the renderer's settings; ``base`` has those that a way lacks."""
         own = {"level": self.level, "cull_hidden": self.hidden, "max_sigma": self.sigma, "target": self.target}
         debug = {"sort_bits": self.bits, "sort_period": self.period}
         return with_fields(base, **own, **debug, sh_degree=self.degree, output=output)
 
 
 def render_words(way: Way, default: Way) -> list[str] | None:
-    """Return the options of ``glsplat render`` for ``way``; None if it has none for some setting."""
+    """Return the options of ``glsplat render`` for ``way``; None if a setting has no option."""
     if replace(way, level=0, hidden=False, target=default.target, degree=default.degree) != default:
         return None
     words = ["--level", str(way.level)] if way.level else []
@@ -121,7 +121,7 @@ def render_words(way: Way, default: Way) -> list[str] | None:
 
 
 def serve_lines(way: Way, default: Way, auto: bool, size: tuple[int, int]) -> list[str] | None:
-    """Return the lines of ``server.toml`` for ``way``; None if it has none for some setting.
+    """Return the lines of ``server.toml`` for ``way``; None if a setting has no key.
 
     ``auto``: culling is on by default at this level. ``size``: full pixels of an eye.
     """
@@ -143,7 +143,7 @@ def fast_target(default: Way) -> Literal["8", "16f", "32f"]:
 
 
 def lpips_if_there() -> Lpips | None:
-    """Return LPIPS by AlexNet; None without its weights."""
+    """Return LPIPS by AlexNet; None if its weights are missing."""
     try:
         return Lpips("alex")
     except GlsplatError:
@@ -155,7 +155,7 @@ def measure(
     subject: Subject,
     frames: int,  # of the last round; the search draws a quarter
     lpips: Lpips | None = None,
-    seeds: Sequence[Way] = (),  # the candidates of a smaller size: nothing is searched
+    seeds: Sequence[Way] = (),  # candidates, which replace the search
     show: Callable[[str], object] = lambda text: None,  # called with the name of each step
 ) -> dict[str, Any]:
     """Return {"scene", "size", "rows", "searched", "candidates", "quiet", ...} as JSON values.
@@ -170,10 +170,10 @@ def measure(
 
 
 def advice(result: Mapping[str, Any]) -> dict[str, tuple[list[str], dict[str, Any]]]:
-    """Return by "render" and "serve" the options to paste, and their row with ``visible``.
+    """Return the options to paste for "render" and "serve", with their row and ``visible``.
 
-    Chosen is the cheapest row whose error is not visible, else the closest; within 2 % in time that of fewest bytes
-    and options.
+    The row is the cheapest one whose error is not visible (within 2 % of its time: fewest bytes and options), else the
+    most precise one.
     """
     out = {}
     for name in ("render", "serve"):
@@ -215,7 +215,7 @@ class _Study:
         self._ms: dict[Way, float] = {}  # of the search
 
     def searched(self, frames: int) -> list[Way]:
-        """Return the candidates of a coarse grid and of what differs from its front in one setting."""
+        """Return the candidates of a coarse grid and of ways that differ from its front in one setting."""
         self._explore(self._grid(), frames)
         before = 0
         while before < len(self._ms) < _ENOUGH:
@@ -227,7 +227,7 @@ class _Study:
         return list(dict.fromkeys([*_spread(near, _MOST), *exact, *lean]))
 
     def finished(self, candidates: Sequence[Way], frames: int) -> dict[str, Any]:
-        """Return the result: candidates and defaults for many frames, with JPEGs on top."""
+        """Return the result: candidates and defaults over many frames, with JPEGs."""
         jpegs: dict[Way, Sequence[tuple[int, str]]]
         jpegs = {way: JPEGS for way in [*_spread(candidates, 6), self._served]}
         for way in [w for w in candidates if self._lines(replace(w, jpeg=SERVED))]:
@@ -331,7 +331,7 @@ class _Study:
         return row | {"flip": None, "lpips": None, "marks": marks, "front": False, "render": exact, "serve": lines}
 
     def _judge(self, rows: Sequence[dict[str, Any]], pictures: Mapping[Way, NDArray[Any]]) -> None:
-        """Add ``front``, and FLIP and LPIPS to what is on a front, marked, or on the front of what can be pasted."""
+        """Add ``front`` to rows; add FLIP and LPIPS to rows on a front, on that of pasteable options, or with marks."""
         drawn, sent = ([r for r in rows if (r["way"]["jpeg"] is None) == plain] for plain in (True, False))
         chosen: dict[int, dict[str, Any]] = {}
         for group in (drawn, sent, [r for r in rows if r["render"] is not None], [r for r in rows if r["serve"]]):
@@ -347,7 +347,7 @@ class _Study:
 
 
 def base_config(context: Context) -> RenderConfig:
-    """Return the defaults of this driver with nothing left to "auto", so that equal settings are measured once."""
+    """Return the driver's defaults with every "auto" resolved, so that equal settings are measured once."""
     if not context.software:
         return RenderConfig(target="16f", debug=DebugConfig(shape="quad", fetch="attributes"))
     fetch: Literal["storage", "attributes"] = "storage" if context.vertex_storage else "attributes"
@@ -355,7 +355,7 @@ def base_config(context: Context) -> RenderConfig:
 
 
 def _near(ms: Mapping[Way, float], psnr: Callable[[Way], float], factor: float = 1.0) -> list[Way]:
-    """Return the ways, fastest first, that no other beats by more than ``factor`` in time and has their PSNR."""
+    """Return the ways, fastest first, unless another is faster by more than ``factor`` at no less PSNR."""
     order = sorted(ms, key=lambda way: ms[way])
     front = [order[i] for i in pareto([(ms[way], psnr(way)) for way in order])]
     if factor == 1:
@@ -364,14 +364,14 @@ def _near(ms: Mapping[Way, float], psnr: Callable[[Way], float], factor: float =
 
 
 def _spread(ways: Sequence[Way], most: int) -> list[Way]:
-    """Return at most so many of ``ways``, evenly spaced, the first and the last among them."""
+    """Return at most ``most`` of ``ways``, evenly spaced, with the first and the last."""
     return [
         ways[i] for i in sorted({*np.linspace(0, len(ways) - 1, min(most, len(ways))).round().astype(int).tolist()})
     ]
 
 
 class _Truth:
-    """The float64 picture of the compared frame, and the distance of others from it in the box that it covers."""
+    """The float64 picture of the compared frame; measures errors in the box that it covers."""
 
     def __init__(self, subject: Subject, lpips: Lpips | None) -> None:
         scene = subject.right or subject.scene
@@ -383,7 +383,7 @@ class _Truth:
         box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else whole
         self._box = (slice(None), *box)
         self._left = np.clip(self._expected[self._box][0, ..., :3], 0, 1)
-        self._lpips = lpips if min(self._left.shape[:2]) >= 31 else None  # its smallest picture
+        self._lpips = lpips if min(self._left.shape[:2]) >= 31 else None  # pixels that LPIPS needs
         self._features = None if self._lpips is None else self._lpips.features(self._left)
 
     def error(self, picture: NDArray[Any], opaque: bool = False) -> dict[str, Any]:
@@ -410,7 +410,7 @@ class _Truth:
 
 
 class _Turns:
-    """Renderers of several ways, and the default twice, that draw the same frames in turn."""
+    """Renderers of several ways, with the default twice, that take turns on the same frames."""
 
     def __init__(
         self,
@@ -424,7 +424,7 @@ class _Turns:
     ) -> None:
         self._ways = ["default", "once more", *ways]
         self._subject, self._jpegs, self._frame = subject, jpegs, FIRST
-        self._shuffle = np.random.default_rng(0)  # whoever follows an expensive way finds colder caches
+        self._shuffle = np.random.default_rng(0)  # caches are colder after an expensive way
         self._times: dict[Any, list[tuple[float, float]]] = {}  # by way, or way and JPEG: ms of wall and of CPU
         self._bytes: dict[tuple[Way, tuple[int, str]], int] = {}
         self.kept: dict[Any, NDArray[Any]] = {}  # pictures of the compared frame
@@ -442,7 +442,7 @@ class _Turns:
         self._stack.close()
 
     def run(self, frames: int) -> None:
-        """Draw so many frames more; the first four ever, up to the compared one, are warm-up."""
+        """Draw ``frames`` more frames; the first four of all, up to the compared one, are warm-up."""
         for frame in range(self._frame, max(self._frame, COMPARED + 1) + frames):
             for index in self._shuffle.permutation(len(self._ways)):
                 way = self._ways[index]
@@ -467,7 +467,7 @@ class _Turns:
         return len(self._times["default"])
 
     def noise(self) -> float:
-        """Return how far the median of the default is from that of its copy."""
+        """Return the relative difference between the medians of the default and of its copy."""
         return abs(_ratios(self._times["once more"], self._times["default"])[1] - 1)
 
     def times(self, way: Way, jpeg: tuple[int, str] | None = None) -> dict[str, float]:
@@ -481,16 +481,16 @@ class _Turns:
         return {name: round(value, 3) for name, value in values.items()}
 
     def sent(self, way: Way, jpeg: tuple[int, str]) -> tuple[NDArray[np.uint8], int]:
-        """Return the compared picture as a client sees it, and the bytes of the last one."""
+        """Return the compared picture as a client decodes it, and the bytes of the last frame."""
         return through_jpeg(self.kept[way], *jpeg), self._bytes[way, jpeg]
 
 
 def _ratios(
     times: Sequence[tuple[float, float]], base: Sequence[tuple[float, float]], period: int = 1
 ) -> tuple[float, float, float]:
-    """Return (low, median, high) of the ratios to the default of the same turns, with the median's 95 % interval.
+    """Return (low, median, high): the median ratio to the default of the same turns, and its 95 % interval.
 
-    Sums of ``period`` turns are compared, as a way that sorts every n-th frame repeats itself after n.
+    Ratios are of sums of ``period`` turns, the cycle of a way that sorts every ``period`` frames.
     """
     count = len(times) // period or 1
     own, other = (np.array([t[0] for t in series])[: count * period] for series in (times, base))
@@ -516,7 +516,7 @@ def _shot(subject: Subject, frame: int, renderer: Renderer) -> tuple[list[Camera
 
 
 def _float_picture(context: Context, subject: Subject, base: RenderConfig, way: Way) -> NDArray[Any]:
-    """Return the compared frame as floats; a way with an old order has drawn the frames before it."""
+    """Return the compared frame as floats; for a way that keeps an order, draw the frames before it, too."""
     last = _compared(subject)
     with _renderer(context, subject, way.config(base, "float32"), way.scale) as renderer:
         for frame in range(FIRST if way.period > 1 else last, last + 1):

@@ -1,4 +1,4 @@
-"""The gate of measurements: how much other processes use the machine, and how far the default is from itself."""
+"""The gate of measurements: the load by other processes, and the difference of the default to itself."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 MAX_SHARE = 0.03
-"""Largest share at which times count: of the cores used by others, and of the default against itself."""
+"""Largest share for valid times: of the cores used by others, and of the default's difference to itself."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Quiet:
 
     @property
     def ok(self) -> bool:
-        """Whether both shares are known to be at most MAX_SHARE, or not known."""
+        """Whether both shares are at most MAX_SHARE or unknown."""
         return all(share is None or share <= MAX_SHARE for share in (self.others, self.noise))
 
     @property
@@ -35,13 +35,13 @@ class Quiet:
 
 
 class Watch:
-    """Measures the CPU time of other processes from its making on; children count as own once they were waited for."""
+    """Measures the CPU time of other processes since its creation; children count as own once waited for."""
 
     def __init__(self) -> None:
         self._start = _seconds()
 
     def read(self, noise: float | None = None) -> Quiet:
-        """Return how quiet the machine was since the start."""
+        """Return how quiet the machine was since the creation."""
         end, noise = _seconds(), None if noise is None else round(noise, 4)
         if self._start is None or end is None:
             return Quiet(None, noise)
@@ -52,9 +52,9 @@ class Watch:
 def until_quiet(
     measure: Callable[[int], tuple[T, float | None]], frames: int, say: Callable[[str], object] = print
 ) -> tuple[T, Quiet]:
-    """Return (result, quiet) of ``measure(frames)``, which returns (result, noise); once more at twice the frames.
+    """Return (result, quiet) of ``measure(frames)``, which returns (result, noise).
 
-    The second time only if the machine was not quiet; ``say`` gets a line if it still is not.
+    On a busy machine measure once more with twice the frames; ``say`` gets a line if it is still busy.
     """
     for count in (frames, 2 * frames):
         watch = Watch()
@@ -63,7 +63,7 @@ def until_quiet(
         if quiet.ok:
             break
     else:
-        say(f"not a quiet machine: {quiet.words}; expected at most {MAX_SHARE:.0%}; compare CPU times, or end the rest")
+        say(f"not a quiet machine: {quiet.words}; expected at most {MAX_SHARE:.0%}; compare CPU times, or end others")
     return result, quiet
 
 

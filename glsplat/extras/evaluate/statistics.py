@@ -1,7 +1,6 @@
-"""Methods compared over the same participants: who is better, by how much, and how sure that is.
+"""Compare methods over the same participants: differences, intervals, effect sizes and tests.
 
-Values are figures of one measure, by method and participant. What is absent, None or not finite counts as missing; a
-participant counts for a pair of methods where both have a figure.
+Absent, None and non-finite values are missing; a participant counts for a pair of methods that both have a value.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ from glsplat.extras.statistics.holm import holm
 from glsplat.extras.statistics.ranks import rank_biserial, wilcoxon
 
 Values = Mapping[str, Mapping[str, float | None]]
-"""Figures of one measure, by method and participant."""
+"""Values of one measure, by method and participant."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """One method: over how many participants, and what is known of it with so many (else None)."""
+    """Statistics of one method over ``n`` participants; None if they need more."""
 
     method: str
     n: int
     missing: tuple[str, ...]
-    """Participants that another method has."""
+    """Participants that only other methods have."""
     mean: float | None
     deviation: float | None
-    """Standard deviation of a sample (n - 1)."""
+    """Sample standard deviation (n - 1)."""
     low: float | None
     high: float | None
     """95 % interval of the mean."""
@@ -39,28 +38,28 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """Two methods over the participants that both have. Differences are first less second."""
+    """Comparison of two methods on their common participants; differences are ``first - second``."""
 
     first: str
     second: str
     n: int
     missing: tuple[str, ...]
-    """Participants that were left out."""
+    """Participants that lack a value."""
     mean: float | None
     low: float | None
     high: float | None
     """95 % interval of the mean difference."""
     median: float | None
     effect: float | None
-    """Matched-pairs rank-biserial correlation: 1 where the first is larger in everybody, -1 where the second is."""
+    """Matched-pairs rank-biserial correlation: 1 if the first is larger in everybody, -1 if the second is."""
     p: float | None
-    """Wilcoxon's signed-rank test, two-sided."""
+    """Of Wilcoxon's signed-rank test, two-sided."""
     p_holm: float | None
-    """Corrected for all pairs of this comparison."""
+    """``p`` corrected for all pairs."""
 
 
 def summarise(values: Values, seed: int = 0) -> list[Summary]:
-    """A row a method, in the order of ``values``."""
+    """Return a row per method, in the order of ``values``."""
     everybody = _participants(values)
     rows = []
     for method, own in values.items():
@@ -82,9 +81,9 @@ def summarise(values: Values, seed: int = 0) -> list[Summary]:
 
 
 def compare(values: Values, seed: int = 0) -> list[Paired]:
-    """A row for each pair of methods, in the order of ``values``; all pairs are one family of tests.
+    """Return a row per pair of methods, in the order of ``values``; all pairs are one family of tests.
 
-    The same values and seed give the same rows, and a further method changes nothing but ``p_holm``.
+    The same values and seed give the same rows; another method changes only ``p_holm``.
     """
     everybody = _participants(values)
     rows = []
@@ -120,7 +119,7 @@ def _corrected(rows: list[Paired]) -> list[Paired]:
 
 
 def _participants(values: Values) -> list[str]:
-    """Everybody whom some method names, by name: resampling goes by place."""
+    """Return the participants of all methods, sorted, as resampling depends on the order."""
     return sorted({name for own in values.values() for name in own})
 
 

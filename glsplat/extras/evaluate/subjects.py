@@ -1,4 +1,4 @@
-"""What a report looks at: scenes, who looks at them and how they move, and what is right where a file holds less."""
+"""Subjects of a report: scenes with cameras, motion and reference."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from glsplat.splats import Splats
 from glsplat.views import orbited, view_of, viewing_point
 
 NUDGE = 1e-6
-"""Radians a given camera is turned by in every second frame: nothing one can see, but every frame is sorted.
+"""Radians that a given camera turns in every second frame, invisibly, so that every frame is sorted.
 
-The frames in between are exactly the camera that was given; errors are taken there, because near ties that a turn
-makes of exact ones are decided by rounding.
+Errors are measured in the frames between, with exactly the given camera: a turn makes near ties of equal depths, which
+rounding decides.
 """
 
 PERSON_SPLATS = 8000
@@ -40,17 +40,17 @@ PERSON_SPLATS = 8000
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A scene, who looks at it, and how it moves."""
+    """A scene with its cameras and motion."""
 
     name: str
     scene: Splats | Avatar
-    size: int  # pixels a side of each view; the longer side of a given camera
+    size: int  # side of each view in pixels; the longer side of a given camera
     moving: bool = False
-    cameras: tuple[Camera, ...] = ()  # fixed ones; none: a pair that orbits a degree a frame
-    right: Splats | Avatar | None = None  # what pictures are held against, where it is not the scene itself
+    cameras: tuple[Camera, ...] = ()  # fixed ones; none: a pair that orbits by a degree per frame
+    right: Splats | Avatar | None = None  # scene of the reference pictures, if another one
 
     def views(self, frame: int) -> list[Camera]:
-        """The views of a frame."""
+        """Return the cameras of a frame."""
         if not self.cameras:
             return orbit(self.scene, frame, self.size)
         if frame % 2 == 0:
@@ -60,14 +60,14 @@ class Subject:
         return [replace(camera, viewmat=turn @ camera.viewmat) for camera in self.cameras]
 
     def pose(self, frame: int) -> Pose | None:
-        """The pose of a frame (``pose_of_frame``); None of what stands still."""
+        """Return the pose of a frame (``pose_of_frame``); None for a static subject."""
         if not isinstance(self.scene, Avatar) or not self.moving:
             return None
         return pose_of_frame(self.scene.skeleton, frame)
 
 
 def pose_of_frame(skeleton: Skeleton, frame: int) -> Pose:
-    """The embedded wave-and-turn at 30 frames a second, or on a rig that has no such joints a sway of all."""
+    """Return a pose of the embedded wave-and-turn at 30 frames per second; on other rigs all joints sway."""
     motion = _motion(skeleton)
     if motion is None:
         return Pose(np.full((len(skeleton), 3), 0.3 * np.sin(0.1 * frame)), np.zeros(3))
@@ -75,15 +75,15 @@ def pose_of_frame(skeleton: Skeleton, frame: int) -> Pose:
 
 
 def orbit(scene: Content, frame: int, size: int) -> list[Camera]:
-    """The pair of a head that goes round the scene by a degree a frame, as ``glsplat bench`` has it."""
+    """Return the pair of cameras of a head that orbits by a degree per frame, as in ``glsplat bench``."""
     eye, target = _viewing_point(scene)
     return view_of(orbited(eye, target, np.radians(frame)), target, (size, size), FOV, ipd=0.055)
 
 
 def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> list[Subject]:
-    """The ways a scene is looked at: static, and an avatar in motion as well. None is the default avatar.
+    """Return the subjects of a scene file (None: the default avatar): static, and an avatar also in motion.
 
-    ``cameras`` as in ``cameras_for``. An .npz is a rigged person, seen as an avatar in motion (``dense_person``).
+    ``cameras`` as in ``cameras_for``. An .npz is a rigged person (``dense_person``). Raises FormatError.
     """
     if path is not None and Path(path).suffix.lower() == ".npz":
         return [dense_person(Path(path), PERSON_SPLATS, size)]
@@ -105,7 +105,7 @@ def subjects_of(path: str | None, size: int, cameras: Sequence[str] = ()) -> lis
 
 
 def cameras_for(scene: Path, given: Sequence[str]) -> Path | None:
-    """The camera file of a scene: ``NAME=FILE`` among ``given``, NAME.camera.json beside it or in a given folder."""
+    """Return a scene's camera file: ``NAME=FILE`` of ``given``, NAME.camera.json beside it or in a given folder."""
     named = [text.partition("=")[2] for text in given if text.startswith(f"{scene.stem}=")]
     folders = [Path(text) for text in given if "=" not in text]
     inside = [folder / f"{scene.stem}.camera.json" for folder in folders]
@@ -114,7 +114,7 @@ def cameras_for(scene: Path, given: Sequence[str]) -> Path | None:
 
 
 def check_cameras(given: Sequence[str], scenes: Sequence[str]) -> None:
-    """Raises FormatError for what is neither a folder nor NAME=FILE, for a file that is not there or of no scene."""
+    """Raise FormatError unless each is a folder or NAME=FILE with an existing file and the name of a scene."""
     for text in given:
         name, equals, file = text.partition("=")
         if not equals and not Path(text).is_dir():
@@ -126,11 +126,11 @@ def check_cameras(given: Sequence[str], scenes: Sequence[str]) -> None:
 
 
 def dense_person(path: Path, count: int, size: int) -> Subject:
-    """A rigged person as an avatar with eight joints a splat, held against one with all joints a splat.
+    """Return a rigged person as an avatar with eight joints per splat; its reference has all joints.
 
-    The dense weights are those of the nearest surface point: of the corners of its triangle, which have four each.
+    The reference has the weights of the nearest surface point: of its triangle's corners, which have four joints each.
     """
-    # only here, so that ``glsplat selftest`` needs no SciPy
+    # imported here: ``glsplat selftest`` has no SciPy
     from glsplat.extras.authoring.geometry.nearest import nearest_weights
     from glsplat.extras.authoring.sample.surface import make_avatar
 
@@ -153,7 +153,7 @@ def dense_person(path: Path, count: int, size: int) -> Subject:
     )
 
 
-@lru_cache(maxsize=4)  # asked for every frame, and its percentiles take milliseconds
+@lru_cache(maxsize=4)  # called every frame; its percentiles take milliseconds
 def _viewing_point(scene: Content) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return viewing_point(scene, FOV)
 

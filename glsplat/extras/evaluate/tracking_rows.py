@@ -1,4 +1,4 @@
-"""Head and hands of a true motion through the tracker and the baselines: scores and times of a clip."""
+"""Run the tracker and the baselines on head and hands of a true motion: scores and times of a clip."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ SOLVERS = (*BASELINES, "analytic", "learned", "learned, head only")
 
 @dataclass(frozen=True)
 class Row:
-    """One clip at one rate, by one solver."""
+    """Results of one solver on one clip at one rate."""
 
     clip: str
     rate: float
     solver: str
     score: TrackingScore
-    milliseconds: float  # median a sample; NaN where it was not timed
+    milliseconds: float  # median per sample; NaN: not timed
     windows: tuple[float, ...]  # MPJPE of each ten seconds, cm
-    said: float = float("nan")  # cm that the solver itself said its body joints were off by, mean; NaN: it says nothing
+    said: float = float("nan")  # mean error of body joints in cm that the solver itself expects; NaN: unknown
 
 
 def rows_of(
@@ -45,7 +45,7 @@ def rows_of(
     config: TrackerConfig,
     network: PoseNetwork | None = None,
 ) -> list[Row]:
-    """All solvers on one clip at one rate. ``network``: of the learned solver; None: the embedded one."""
+    """Return a row per solver for one clip at one rate; ``network``: of the learned solver (default: embedded)."""
     truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, rate)
     body = Body.of(skeleton)
     sole = body.sole

@@ -1,4 +1,4 @@
-"""Scores of estimated motions against the truth (conventions of AvatarPoser and its successors, docs/tracking.md)."""
+"""Score estimated motions against the truth (conventions of AvatarPoser and its successors, docs/tracking.md)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 BODY = slice(0, 22)  # the 22 joints of SMPL that the literature scores
 LOWER = (1, 2, 4, 5, 7, 8, 10, 11)
 UPPER = (3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
-WINDOW = 10.0  # seconds over which an error is a mean where the worst are looked for
-CONTACT = 0.02  # metres the ball of a foot may lie above its height on flat ground and count as planted
+WINDOW = 10.0  # seconds of a part, to find the part with the largest mean error
+CONTACT = 0.02  # metres above the flat ground up to which the ball of a foot counts as planted
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class TrackingScore:
     root: float
     hands: float  # both wrists
     fingers: float  # the 30 finger joints
-    mpjre: float  # local rotations of the 22 body joints; NaN where only positions are known
+    mpjre: float  # local rotations of the 22 body joints; NaN without rotations
     mpjve: float
     jitter: float
     jitter_truth: float
@@ -40,7 +40,7 @@ class TrackingScore:
     penetration: float  # mean depth of the lowest sole under the floor
 
     def to_json(self) -> dict[str, float | None]:
-        """A plain object; what is not known is null."""
+        """Return a JSON object; unknown values are null."""
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
 
@@ -52,7 +52,7 @@ def score(
     rotations: Array | None = None,  # [T, 55, 3] axis-angle
     true_rotations: Array | None = None,
 ) -> TrackingScore:
-    """Compare two motions frame by frame. Raises PoseError when shapes differ or there are fewer than 4 frames."""
+    """Compare two motions frame by frame. Raises PoseError for different shapes or fewer than 4 frames."""
     if positions.shape != truth.shape or positions.shape[1:] != (55, 3):
         raise PoseError(f"poses and truth need one shape (T, 55, 3), not {positions.shape} and {truth.shape}")
     if len(positions) < 4:
@@ -84,13 +84,13 @@ def score(
 
 
 def windows(positions: Array, truth: Array, rate: float) -> tuple[float, ...]:
-    """MPJPE in cm of each WINDOW seconds at least, all of one length."""
+    """Return MPJPE in cm over equal parts of at least WINDOW seconds, or over the whole of a shorter motion."""
     error = np.linalg.norm(positions - truth, axis=-1)[:, BODY].mean(1) * 100
     return tuple([float(part.mean()) for part in np.array_split(error, max(1, int(len(error) / (WINDOW * rate))))])
 
 
 def mean_score(scores: list[TrackingScore]) -> TrackingScore:
-    """The mean over clips, weighted by their frames; NaN stays NaN."""
+    """Return the mean over clips, weighted by their frames; NaN stays NaN."""
     weights = np.array([s.frames for s in scores], np.float64)
     values = np.array([list(asdict(s).values()) for s in scores], np.float64)
     mean = (values * weights[:, None]).sum(0) / weights.sum()
@@ -103,7 +103,7 @@ def _jitter(positions: Array, rate: float) -> float:
 
 
 def _skate(feet: Array, sole: float, rate: float) -> float:
-    """Mean horizontal speed (cm/s) of the balls of the feet over the steps whose both ends touch the ground."""
+    """Return the mean horizontal speed (cm/s) of the balls of the feet between two frames with ground contact."""
     low = feet[..., 1] < sole + CONTACT
     speed = np.linalg.norm(np.diff(feet[..., [0, 2]], axis=0), axis=-1) * rate * 100
     planted = low[1:] & low[:-1]

@@ -1,4 +1,4 @@
-"""A participant who turns on the spot before a standing camera: the frames that an avatar of a video is made from."""
+"""Render a participant who turns before a fixed camera: frames for making an avatar from a video."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from glsplat.extras.evaluate.light import CaptureLight, shade_of
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 
-_UNEVEN = 0.2  # of a step: nobody turns like clockwork
-_SWAY = 0.02, 0.008  # radians a joint and metres a standing person drifts by, one standard deviation
-_SLOW = 4  # frames after which what somebody does is another thing
+_UNEVEN = 0.2  # largest deviation of a step of the turn, as a share of it
+_SWAY = 0.02, 0.008  # standard deviation of a standing person's drift: radians per joint, metres
+_SLOW = 4  # frames between independent drifts
 _STILL = ("pelvis", "jaw", "eye", "index", "middle", "pinky", "ring", "thumb", "foot")
 _NOISE = 1.5  # levels of 255
-_QUALITY = 92  # of the JPEG that a frame was
+_QUALITY = 92  # of the frames' JPEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turntable:
-    """One frame, and what is true of it."""
+    """One frame with its true mask, pose and turn."""
 
     rgb: NDArray[np.uint8]  # [H, W, 3] sRGB
     mask: NDArray[np.bool_]  # [H, W] the person
@@ -45,10 +45,10 @@ def turntable(
     turns: float = 1.0,
     seed: int = 0,
 ) -> Iterator[Turntable]:
-    """The ``frames`` of ``turns`` whole turns (to the person's right where negative) in ``pose``, with a little sway.
+    """Yield ``frames`` of ``turns`` whole turns (negative: to the person's right) in ``pose``, with a little sway.
 
-    The ``camera`` stands, and so does the lamp, ``towards`` and of ``colour`` in linear light as in the captures'
-    notes; the room is made up. The same seed gives the same frames.
+    The ``camera`` and the lamp stand still; the lamp is ``towards`` a direction and has a ``colour`` in linear light,
+    as in a capture's note. The room is random. The same seed gives the same frames.
     """
     rng = np.random.default_rng(seed)
     room = _room(camera.height, camera.width, rng)
@@ -77,7 +77,7 @@ def turntable(
 
 
 def _drift(rng: np.random.Generator, frames: int, shape: tuple[int, ...]) -> F64:
-    """[frames, *shape] of unit spread, each a slow wandering."""
+    """Return slow random drifts [frames, *shape] of unit deviation."""
     knots = rng.normal(0, 1, (frames // _SLOW + 2, *shape))
     at = np.arange(frames) / _SLOW
     first, share = at.astype(int), (at % 1).reshape(-1, *(1,) * len(shape))
@@ -86,7 +86,7 @@ def _drift(rng: np.random.Generator, frames: int, shape: tuple[int, ...]) -> F64
 
 
 def _room(height: int, width: int, rng: np.random.Generator) -> F64:
-    """[H, W, 3] levels: a wall that is brighter on one side, a floor, a skirting board, and two frames on the wall."""
+    """Return a room [H, W, 3] in levels of 255: wall, floor, skirting board, and two frames on the wall."""
     down, across = np.mgrid[0:height, 0:width] / [[[height]], [[width]]]
     wall = rng.uniform(150, 190, 3) + rng.uniform(-25, 25) * (across - 0.5)[..., None] + 10 * (0.5 - down)[..., None]
     floor = rng.uniform(90, 130, 3) + 30 * (down - 0.85)[..., None] * 4

@@ -8,5 +8,5 @@ from glsplat.net.options import ServerConfig
 
 
 def features(config: ServerConfig) -> list[Feature]:
-    """Return WebTransport where ``config`` has it. Raises GlsplatError without a suitable aioquic."""
+    """Return WebTransport if ``config`` has it. Raises GlsplatError without a suitable aioquic."""
     return [Datagrams()] if config.webtransport else []

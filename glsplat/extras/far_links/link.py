@@ -1,10 +1,9 @@
-"""LinkEstimator: how fast the way to a client is, how long, and how much waits on it. No I/O: times are arguments.
+"""LinkEstimator: rate, round trip and queue of the link to a client. No I/O: times are arguments.
 
 The model is BBR's (Cardwell, Cheng, Gunn, Yeganeh, Jacobson: BBR, Congestion-Based Congestion Control, ACM Queue 14(5),
-2016): a windowed maximum of the rate at which data is delivered, and a windowed minimum of the round trip. It fits what
-a connection over TCP can tell, where a lost packet is a picture that comes late: a maximum does not mind those that are
-late, while a gradient of delays (GCC) takes each for congestion. Round trips of small messages in between (pings) take
-the place of BBR's ProbeRTT, since a picture's own round trip holds the time that its bytes take.
+2016): a windowed maximum of the delivery rate and a windowed minimum of the round trip. It suits TCP, where a lost
+packet delays a picture: late pictures do not change a maximum, while a gradient of delays (GCC) takes each for
+congestion. Pings replace BBR's ProbeRTT, since a picture's own round trip includes the time of its bytes.
 """
 
 from __future__ import annotations
@@ -14,70 +13,69 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 RATE_WINDOW, ROUNDS = 1.0, 10
-"""Seconds, and round trips, of which the best rate counts: the longer of both."""
+"""Window of the best rate: the longer of these seconds and round trips."""
 BASE_WINDOW = 10.0
-"""Seconds of which the shortest round trip counts."""
+"""Window of the shortest round trip, seconds."""
 
-_FEWEST, _MOST = 5, 64  # deliveries that count, however long they took
-_CHAIN = 8  # deliveries that may have come in one lump: a picture that was held back releases those behind it
-_BEST = 0.9  # quantile of the rates that counts as their maximum: one alone may be luck, or a lie
-_FALL = 0.6  # of the rate: a chain of so much less in a row is no bad luck, but another link
-_FALLEN, _FELL, _FELL_ROUNDS = 3, 0.25, 2.0  # in a row, for seconds and round trips: longer than one lost packet takes
-_STANDING = 0.5  # seconds of which the least queueing delay is what stands (Copa's RTTstanding)
-_INSTANT = 1e-4  # seconds below which nothing is measured
-_SUBJECTS = 64  # pictures and pings under way that are remembered
+_FEWEST, _MOST = 5, 64  # deliveries kept at least, whatever their age, and at most
+_CHAIN = 8  # deliveries that may arrive in one burst: a delayed picture releases those behind it
+_BEST = 0.9  # quantile of the rates that counts as their maximum: a single rate may be luck, or a lie
+_FALL = 0.6  # of the rate: several deliveries in a row below it mean a slower link
+_FALLEN, _FELL, _FELL_ROUNDS = 3, 0.25, 2.0  # slow deliveries, seconds, round trips: more than one lost packet causes
+_STANDING = 0.5  # window of the standing queueing delay, seconds (Copa's RTTstanding)
+_INSTANT = 1e-4  # shortest time that is measured, seconds
+_SUBJECTS = 64  # remembered pictures and pings under way
 
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """A picture that was acknowledged. Seconds."""
+    """An acknowledged picture. Times in seconds."""
 
     written: float
-    arrived: float  # when its acknowledgement would have been here, had it been sent at once
+    arrived: float  # when its acknowledgement would have come, had it been sent at once
     nbytes: int
 
 
 class LinkEstimator:
-    """Tell it what is ``written`` and what is ``acknowledged``, of pictures and of pings.
+    """Estimates a link from the times at which pictures and pings are written and acknowledged.
 
-    What a client says of itself (``held``) is taken within what the server measures, so that a liar makes his own link
-    look faster or slower than it is, and no other's.
+    A client's delay (``held``) is limited by what the server measures: a false one affects that client alone.
     """
 
     def __init__(self) -> None:
         self.newest: Delivered | None = None
-        self._way: dict[int, tuple[float, int]] = {}  # by number: when it was written, bytes
+        self._way: dict[int, tuple[float, int]] = {}  # by picture: time written, bytes
         self._pings: dict[bytes, float] = {}
         self._delivered: deque[Delivered] = deque(maxlen=_CHAIN)
-        self._rates: deque[tuple[float, float]] = deque(maxlen=_MOST)  # when, bits a second
-        self._trips: deque[tuple[float, float]] = deque()  # when, seconds; rising, so that the first is the least
-        self._delays: deque[tuple[float, float]] = deque(maxlen=_MOST)  # when, seconds beyond base and own bytes
-        self._slow: list[float] = []  # when deliveries were far below the rate, in a row
+        self._rates: deque[tuple[float, float]] = deque(maxlen=_MOST)  # time, bits a second
+        self._trips: deque[tuple[float, float]] = deque()  # time, seconds; rising, so that the first is the least
+        self._delays: deque[tuple[float, float]] = deque(maxlen=_MOST)  # time, seconds beyond base and own bytes
+        self._slow: list[float] = []  # times of successive deliveries far below the rate
         self._ponged = False
 
-    # ----------------------------------------------------------------------------------------------------- what happens
+    # ----------------------------------------------------------------------------------------------------------- events
 
     def written(self, number: int, nbytes: int, now: float) -> None:
-        """A picture is given to the socket. Numbers grow."""
+        """Record a picture written to the socket. Numbers grow."""
         self._way[number] = now, nbytes
         while len(self._way) > _SUBJECTS:
             del self._way[next(iter(self._way))]
 
     def pinged(self, ping: bytes, now: float) -> None:
-        """A small message is given to the socket, which the other end answers by itself."""
+        """Record a ping written to the socket."""
         self._pings[ping] = now
         while len(self._pings) > _SUBJECTS:
             del self._pings[next(iter(self._pings))]
 
     def ponged(self, ping: bytes, now: float) -> None:
-        """Its answer is here. One that was never asked for says nothing."""
+        """Record the answer to a ping; ignore an unknown one."""
         asked = self._pings.pop(ping, None)
         if asked is not None:
             self._ponged = True
             self._trip(now - asked, now)
 
     def acknowledged(self, number: int, held: float, now: float) -> None:
-        """The picture arrived, and with it all before; the client kept the news for ``held`` seconds, it says."""
+        """Record that the picture and all before it arrived; the client reports it ``held`` seconds late."""
         entry = self._way.get(number)
         self.forget(number)
         if entry is None:
@@ -92,7 +90,7 @@ class LinkEstimator:
             self._measure(now)
 
     def forget(self, number: int) -> None:
-        """A picture and all before it are no longer on the way; nobody says when they arrived."""
+        """Remove a picture and all before it, without a time of arrival."""
         for old in [old for old in self._way if old <= number]:
             del self._way[old]
 
@@ -105,7 +103,7 @@ class LinkEstimator:
             self._trips.popleft()
 
     def _measure(self, now: float) -> None:
-        """The rate of the newest delivery: the least over those that it may have come in one lump with."""
+        """Measure the newest delivery's rate: the least over deliveries that may have come in one burst with it."""
         base, sample, nbytes = self.base, inf, 0
         delivered = list(self._delivered)
         end = delivered[-1].arrived
@@ -114,7 +112,7 @@ class LinkEstimator:
             nbytes += one.nbytes
             before = delivered[index - 1].arrived if index else -inf
             sample = min(sample, 8 * nbytes / max(end - max(one.written + base, before), _INSTANT))
-            if before <= one.written + base:  # the way was empty: what was before has nothing to do with it
+            if before <= one.written + base:  # the link was empty before it
                 break
         self._slow = [*self._slow[-_MOST:], now] if self._rates and sample < _FALL * self._rate() else []
         if len(self._slow) >= _FALLEN and now - self._slow[0] > max(_FELL, _FELL_ROUNDS * base):
@@ -134,37 +132,37 @@ class LinkEstimator:
         ranked = sorted(rate for _, rate in self._rates)
         return ranked[min(len(ranked) - 1, int(_BEST * len(ranked)))]
 
-    # -------------------------------------------------------------------------------------------------- what that means
+    # -------------------------------------------------------------------------------------------------------- estimates
 
     @property
     def known(self) -> bool:
-        """Whether there is a rate at all."""
+        """Whether there is an estimated rate."""
         return bool(self._rates)
 
     @property
     def rate(self) -> float:
-        """Bits a second that arrive when there is enough to send; infinite before anything is known."""
+        """Estimated bits a second; infinite before the first measurement."""
         return self._rate() if self._rates else inf
 
     @property
     def base(self) -> float:
-        """Seconds there and back of next to nothing, with nothing before it."""
+        """Round trip of a ping on an empty link, seconds."""
         return self._trips[0][1] if self._trips else 0.0
 
     @property
     def standing(self) -> float:
-        """Seconds that every picture lately had to wait on the way, beyond the time of its own bytes."""
+        """Standing queueing delay, seconds: the least wait of recent pictures beyond the time of their own bytes."""
         return min((delay for _, delay in self._delays), default=0.0)
 
     @property
     def on_the_way(self) -> int:
-        """Pictures that were written and not acknowledged."""
+        """Number of pictures written and not acknowledged."""
         return len(self._way)
 
     def clear(self, now: float) -> float:
-        """The time at which all that was written has passed, if it passes at the known rate; ``now`` at least.
+        """Return when all written pictures will have passed the link at the estimated rate; at least ``now``.
 
-        Once the first of it should have been acknowledged and is not, that is put off: nobody knows how long it takes.
+        An overdue acknowledgement of the first picture puts the time off by as much.
         """
         if not self._rates or not self._way:
             return now
@@ -176,7 +174,7 @@ class LinkEstimator:
         return max(now, passed + put_off)
 
     def overdue(self, now: float) -> float:
-        """Seconds by which the first picture on the way is late."""
+        """Return the seconds by which the first unacknowledged picture is late."""
         if not self._rates or not self._way:
             return 0.0
         written, nbytes = next(iter(self._way.values()))

@@ -1,8 +1,8 @@
-"""LinkControl: what one client's link lets through, and what its pictures are made of for that. No I/O, no clock.
+"""LinkControl: when a client's next picture starts, and its size and quality for the link. No I/O, no clock.
 
-What may be spent rises and falls as in TCP (additive increase, multiplicative decrease: Chiu and Jain, 1989), below
-what the estimator found: so two clients of one link come to equal parts, which the model of BBR alone does not bring.
-How long a picture may take to draw is AdaptiveQuality's to decide. Of both sizes the smaller is drawn.
+The spent rate rises and falls as in TCP (additive increase, multiplicative decrease: Chiu and Jain, 1989), below the
+estimated rate: so two clients of one link reach equal shares, which BBR's model alone does not achieve.
+AdaptiveQuality limits the time of drawing. The smaller of both sizes is drawn.
 """
 
 from __future__ import annotations
@@ -16,47 +16,47 @@ from glsplat.extras.far_links.link import LinkEstimator
 from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 
 USE = 0.93
-"""Of the link's rate that is spent at most: what is left drains what has piled up."""
+"""Most of the link's rate that is spent; the rest drains the queue."""
 AHEAD = 0.5
-"""Of a picture that may still wait on the way when the next is written: one and a half wait there then."""
+"""Part of a picture that may still be queued on the link when the next is written; then one and a half are."""
 
-_GENTLE, _QUICK = 0.04, 0.7  # of the rate a second by which spending rises: soon after a cut, and later
-_SOON = 3.0  # seconds
-_CUT, _PAUSE = 0.85, 0.4  # what a cut leaves; seconds from one to the next, or two round trips
-_QUEUE, _QUEUED = 0.008, 0.3  # seconds, and parts of a picture's time, that each has to wait where too much is spent
-_BESIDE = 2  # pictures of full quality that are begun whatever the link: as many as where none is looked at
+_GENTLE, _QUICK = 0.04, 0.7  # rise of the spent rate a second, of the link's rate: soon after a cut, and later
+_SOON = 3.0  # seconds after a cut
+_CUT, _PAUSE = 0.85, 0.4  # factor of a cut; seconds between cuts, or two round trips
+_QUEUE, _QUEUED = 0.008, 0.3  # standing delay that causes a cut: the longer of seconds and parts of a picture's time
+_BESIDE = 2  # pictures under way up to which full quality starts whatever the link
 _SPARE = 1.0  # pictures under way beyond those that the link holds
-_LATE, _TRIPS = 0.02, 1.25  # seconds, and round trips, by which a picture is late that has not just lost a packet
-_AGAIN = 0.05  # seconds after which to look again while one is
-_LEARN = 0.15  # how far a picture moves what is expected of the next
-_EXCESS, _GAIN = 1.05, 1.04  # of the bytes there are: so much too many are changed at once, and so little is not won
-_HOLD, _LONGEST, _EARLY = 1.0, 30.0, 5.0  # seconds before something comes back, at most, and within which it was wrong
-_PINGS, _OFTEN, _RARE = 4, 0.25, 1.0  # the first of them follow each other quickly; seconds
-_LATEST = 60.0  # seconds, of what a client may say
-_PAYLOAD = 8  # random bytes of a ping: its answer shows that the picture before it is there
+_LATE, _TRIPS = 0.02, 1.25  # seconds plus round trips by which a picture is overdue; one lost packet takes less
+_AGAIN = 0.05  # seconds until the next check while a picture is overdue
+_LEARN = 0.15  # weight of a new picture in running means
+_EXCESS, _GAIN = 1.05, 1.04  # bytes over the budget that lower the rung at once; least factor of bytes of a better rung
+_HOLD, _LONGEST, _EARLY = 1.0, 30.0, 5.0  # seconds before a better rung: first, longest; it failed if lost this early
+_PINGS, _OFTEN, _RARE = 4, 0.25, 1.0  # number of first pings; seconds between them, and between later ones
+_LATEST = 60.0  # longest time accepted from a client, seconds
+_PAYLOAD = 8  # random bytes of a ping: its answer proves that the picture before it arrived
 _FOLLOWED = 64  # pictures whose pings may still be answered
 
 
 class LinkControl:
-    """Of one connection, whose client says when its pictures arrive. ``cap``: bits a second at most; None: no limit."""
+    """Controls one connection, whose client reports arrived pictures. ``cap``: most bits a second; None: no limit."""
 
     def __init__(self, cap: float | None = None) -> None:
         self.link: LinkEstimator = LinkEstimator()
         self._cap = inf if cap is None else cap
         self._spend = inf  # bits a second
         self._cut_at, self._updated = -inf, -inf
-        self._begun: dict[int, float] = {}  # pictures that are made just now: since when
-        self._making = 0.0  # seconds that takes
-        self._interval = 0.0  # seconds between two pictures that the link does not hold back
-        self._last, self._held = -inf, inf  # when a picture was begun, and since when the next is held back
+        self._begun: dict[int, float] = {}  # start times of the pictures in the making
+        self._making = 0.0  # mean time of making one, seconds
+        self._interval = 0.0  # mean seconds between pictures that the link does not hold back
+        self._last, self._held = -inf, inf  # start of the last picture; since when the next is held back
         self._asked: dict[int, float] = {}  # by number: pixels of the whole picture, times the bits of its rung
         self._bytes = 0.0  # of a pixel in full quality
         self._rungs: tuple[Rung, ...] = ()
         self._index = 0
-        self._least = 0.0  # seconds between two pictures, so that each can be good
+        self._least = 0.0  # seconds between pictures that give each enough bytes
         self._since, self._better, self._hold = -inf, -inf, _HOLD
         self._pings, self._pinged = 0, -inf
-        self._behind: dict[bytes, int] = {}  # pings behind pictures that are not answered, and which picture that is
+        self._behind: dict[bytes, int] = {}  # unanswered pings, and the picture before each
         self._ages: deque[float] = deque(maxlen=32)
 
     @property
@@ -64,13 +64,13 @@ class LinkControl:
         """Whether the link's rate and round trip are known."""
         return self.link.known
 
-    # ----------------------------------------------------------------------------------------------------- what happens
+    # ----------------------------------------------------------------------------------------------------------- events
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
-        """A picture is begun that was asked for with so many ``pixels``, in that JPEG quality: how to make it."""
+        """Start a picture requested with ``pixels`` and JPEG ``quality``; return the rung to make it with."""
         self._begin(number, now)
         rungs = ladder(quality, crop)
-        if rungs is not self._rungs:  # another wish: as much less of it as of the one before
+        if rungs is not self._rungs:  # another request: the rung of as many bits as before
             bits = self._rungs[self._index].bits if self._rungs else 1.0
             self._rungs = rungs
             self._index = next((i for i, one in enumerate(rungs) if one.bits <= bits), len(rungs) - 1)
@@ -80,7 +80,7 @@ class LinkControl:
         return chosen
 
     def written(self, number: int, nbytes: int, now: float) -> None:
-        """A reply is given to the socket."""
+        """Record a reply written to the socket."""
         began = self._begun.pop(number, None)
         if began is not None:
             self._making = _moved(self._making, now - began)
@@ -90,14 +90,14 @@ class LinkControl:
         self.link.written(number, nbytes, now)
 
     def failed(self, number: int) -> None:
-        """A picture could not be made."""
+        """Remove a picture that could not be made."""
         self._begun.pop(number, None)
         self._asked.pop(number, None)
 
     def acknowledged(self, number: int, age: float, held: float, now: float) -> None:
-        """A picture arrived, ``age`` seconds after it was asked for; the client said so ``held`` seconds later.
+        """Record a picture that arrived ``age`` seconds after its request and was reported ``held`` seconds later.
 
-        Of the link that says nothing new where the ping behind the picture was answered before, as it mostly was.
+        Mostly the ping behind the picture was answered before; then this adds nothing to the link's estimate.
         """
         if isfinite(age):
             self._ages.append(min(max(age, 0.0), _LATEST))
@@ -110,16 +110,16 @@ class LinkControl:
             self._adjust(now)
 
     def forget(self, number: int) -> None:
-        """Expect no report of the pictures up to that one."""
+        """Expect no report of pictures up to ``number``."""
         self.link.forget(number)
 
     def lost(self, number: int, now: float) -> None:
-        """A picture will never arrive: as a queue does, that says that too much is spent."""
+        """Remove a picture that will not arrive, and cut the spent rate, as for a queue."""
         self.link.forget(number)
         self._cut(now)
 
     def ping(self, now: float) -> bytes | None:
-        """What to send as a ping just before a picture; None: nothing now."""
+        """Return the payload of a ping to send before a picture; None: no ping now."""
         if now - self._pinged < (_OFTEN if self._pings < _PINGS else _RARE):
             return None
         self._pings += 1
@@ -129,10 +129,10 @@ class LinkControl:
         return payload
 
     def follow(self, number: int) -> bytes:
-        """What to send as a ping right behind that picture.
+        """Return the payload of a ping to send right behind a picture.
 
-        What receives for the client answers it, a browser's network process: so it tells when the picture arrived,
-        however busy the client itself is. Nobody can answer it earlier who does not know it.
+        A browser's network process answers it, so the answer dates the picture's arrival however busy the page is.
+        The random payload cannot be answered earlier.
         """
         payload = os.urandom(_PAYLOAD)
         self._behind[payload] = number
@@ -141,7 +141,7 @@ class LinkControl:
         return payload
 
     def ponged(self, payload: bytes, now: float) -> None:
-        """A ping was answered. One that is not under way says nothing."""
+        """Record the answer to a ping; ignore one that is not under way."""
         number = self._behind.get(payload)
         if number is None:
             self.link.ponged(payload, now)
@@ -151,25 +151,25 @@ class LinkControl:
         self._arrived(number, 0.0, now)
 
     def rest(self, now: float) -> float:
-        """Seconds for which no picture is to be begun: it would wait on the way behind more than ``AHEAD`` of one."""
+        """Return the seconds to wait before the next picture, so that at most ``AHEAD`` of one is queued before it."""
         wait = max(self._rest(now), self._last + self._least - now, 0.0)
         self._held = min(self._held, now) if wait > 0 else self._held
         return wait
 
-    # -------------------------------------------------------------------------------------------------- what that means
+    # -------------------------------------------------------------------------------------------------------- decisions
 
     @property
     def age(self) -> float | None:
-        """Seconds: the median of what the client said lately; None: nothing."""
+        """Median of the ages that the client reported lately, seconds; None: no reports."""
         return median(self._ages) if self._ages else None
 
     @property
     def spend(self) -> float:
-        """Bits a second that may be spent."""
+        """Most bits a second to send."""
         return min(self._spend, USE * self.link.rate, self._cap)
 
     def status(self) -> dict[str, float | None]:
-        """For /stats: Mbit/s that the link takes and that are spent, ms of round trip, queue and age."""
+        """Return the link's part of /stats: rates in Mbit/s; round trip, queue and age in ms; scale and quality."""
 
         def known(value: float, digits: int = 2) -> float | None:
             return round(value, digits) if isfinite(value) else None
@@ -186,7 +186,7 @@ class LinkControl:
         }
 
     def _rest(self, now: float) -> float:
-        """Until the way is free enough."""
+        """Return the seconds until the queue on the link is short enough."""
         link = self.link
         if not link.known or (self._index == 0 and link.on_the_way + len(self._begun) < _BESIDE):
             return 0.0
@@ -196,7 +196,7 @@ class LinkControl:
         own = 8 * self._bytes_of_one() / rate
         pace = max(self._interval, self._least)
         if pace > 0 and link.on_the_way + len(self._begun) > _SPARE + (link.base + own + self._making) / pace:
-            return _AGAIN  # more than such a link holds: something else is late
+            return _AGAIN  # more than such a link holds: another delay
         free = link.clear(now)
         for began in self._begun.values():
             free = max(free, began + self._making) + own
@@ -208,13 +208,13 @@ class LinkControl:
 
     def _begin(self, number: int, now: float) -> None:
         self._begun[number] = now
-        spent = min(self._held, now) - self._last  # until it could have been begun
+        spent = min(self._held, now) - self._last  # until it could have started
         if isfinite(spent):
             self._interval = _moved(self._interval, min(spent, _LATEST))
         self._last, self._held = now, inf
 
     def _adjust(self, now: float) -> None:
-        """Spend less where every picture has to wait, else more."""
+        """Lower the spent rate while a queue stands, else raise it."""
         link, rate = self.link, self.link.rate
         newest = link.newest
         assert newest is not None
@@ -233,7 +233,7 @@ class LinkControl:
             self._cut_at = now
 
     def _choose(self, full: float, now: float) -> None:
-        """The best rung whose bytes there are. What is too much is taken away at once, and comes back after a while."""
+        """Choose the best rung within the byte budget. A worse one is taken at once, a better one after a hold."""
         if full <= 0 or self._interval <= 0 or self.spend == inf:
             return
         wanted, self._least = self._fitting(full)
@@ -253,7 +253,7 @@ class LinkControl:
         self._index, self._since = wanted, now
 
     def _fitting(self, full: float) -> tuple[int, float]:
-        """The best rung for ``full`` bytes a picture, and the seconds from one to the next that it needs."""
+        """Return the best rung for ``full`` bytes a picture, and the interval in seconds that it needs."""
         rungs, calm = self._rungs, max(self._interval, 1 / REDUCED_FPS)
         needs = [8 * full * one.bits / self.spend for one in rungs]
         good = [index for index, one in enumerate(rungs) if not index or visible_loss(one) <= MAX_SMOOTH_LPIPS]
@@ -270,5 +270,5 @@ class LinkControl:
 
 
 def _moved(mean: float, value: float) -> float:
-    """A mean that follows; the first value is all there is of it."""
+    """Return the running mean after ``value``; a mean of 0 is unset and becomes ``value``."""
     return mean + _LEARN * (value - mean) if mean else value

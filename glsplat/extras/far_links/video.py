@@ -1,9 +1,9 @@
-"""Video: a client's pictures as one stream, where each takes only what is new against the one before (PyAV).
+"""Video: a client's pictures as one stream of inter-coded frames (PyAV).
 
-Both eyes lie side by side in one coded picture, alpha below them, so that one decoder has all of a moment at once. The
-settings are those of low delay: a picture goes in, its bytes come out, nothing looks ahead or back. Over TCP nothing
-is lost on the way, so key frames come where a stream begins, where its form changes, and where a client asks; H.264
-refreshes column by column besides (intra refresh).
+One coded picture holds both eyes side by side and alpha below them, so that one decoder has a whole frame. The settings
+are those of low delay: each picture gives its bytes at once, without look-ahead. TCP loses nothing, so key frames come
+only at the start of a stream, when its form changes, and on a client's request; H.264 also refreshes column by column
+(intra refresh).
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 Image = NDArray[np.uint8]
 
 STEPS = (20, 40, 60, 80, 90)
-"""JPEG qualities that a stream is coded as good as: the next better one of what a request or its link has."""
+"""JPEG qualities that a stream can match; one takes the next above that of the request or its link."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coder:
-    """How a codec is used."""
+    """Settings of a codec."""
 
     library: str  # FFmpeg's encoder
     options: dict[str, str]
-    factors: tuple[int, ...]  # its quality (crf) at each of STEPS: as little LPIPS as JPEG (docs/measured/codec.md)
+    factors: tuple[int, ...]  # crf at each of STEPS that has JPEG's LPIPS (docs/measured/codec.md)
 
 
 CODECS: dict[str, Coder] = {
@@ -56,18 +56,18 @@ CODECS: dict[str, Coder] = {
         (36, 29, 26, 22, 15),
     ),
 }
-"""What a server can code, by the name that requests have."""
+"""Codecs that a server may use, by their names in requests."""
 
-_AGAIN = 0.5  # seconds before a stream takes another form, or has another key frame that a client asks for
-_SHARE, _SAVED = 0.1, 1.0  # of a client's time that may go into other forms, in the long run; seconds at once
-_LEAST, _MOST = 32, 4096 * 2304  # pixels of a side, and of the coded picture
-_THREADS = max(1, min(2, cores() // 4))  # the renderer wants cores, too
+_AGAIN = 0.5  # least seconds between changes of form, and between key frames that a client requests
+_SHARE, _SAVED = 0.1, 1.0  # time for changes of form: average share of a client's time; most seconds at once
+_LEAST, _MOST = 32, 4096 * 2304  # fewest pixels of a side, most of the coded picture
+_THREADS = max(1, min(2, cores() // 4))  # the renderer needs cores, too
 _BLACK = 16, 128, 128  # of Y, U and V in limited range (ITU-R BT.601)
 _601, _709, _SRGB, _LIMITED = 6, 1, 13, 1  # matrix, primaries, transfer and range as FFmpeg numbers them
 
 
 def available() -> tuple[str, ...]:
-    """The names of CODECS that this machine's PyAV has. Raises GlsplatError where there is no PyAV."""
+    """Return the names of CODECS that the installed PyAV has. Raises GlsplatError without PyAV."""
     require_package("video", "av", "video", "leave video out")
     import av
 
@@ -80,7 +80,7 @@ def available() -> tuple[str, ...]:
 
 
 class VideoStream:
-    """Of one client. ``encode`` is to be called for its pictures in the order in which they are sent."""
+    """One client's stream; ``encode`` takes its pictures in the order in which they are sent."""
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter, coders: Mapping[str, Coder] = CODECS) -> None:
         self._clock, self._coders = clock, coders
@@ -88,11 +88,11 @@ class VideoStream:
         self._form: tuple[Any, ...] = ()
         self._step = 0
         self._opened = self._key = -np.inf
-        self._credit, self._since = _SAVED, clock()  # seconds that other forms may take, and when that was reckoned
+        self._credit, self._since = _SAVED, clock()  # seconds left for changes of form, and when that was computed
         self._number = 0
-        self._name = ""  # of the codec, as browsers know it
+        self._name = ""  # of the codec, in WebCodecs
         self._canvas: Image = np.empty((0, 0), np.uint8)  # planes Y, U, V one below the other
-        self._filled: list[Box] = []  # what is not black in it
+        self._filled: list[Box] = []  # its boxes that are not black
 
     def encode(
         self,
@@ -103,10 +103,10 @@ class VideoStream:
         alpha: bool | str = False,
         key: bool = False,
     ) -> Encoded | None:
-        """The next picture, of ``images`` [V, H, W, 4] that are zero outside ``covered``.
+        """Encode the next picture of ``images`` [V, H, W, 4], which are zero outside ``covered``.
 
-        ``quality`` is JPEG's. ``key``: the client cannot go on from what it has. None: not just now, or not of this
-        kind: it is to be a JPEG, which leaves the stream as it is.
+        ``quality`` is JPEG's. ``key``: the client needs a key frame. Returns None if the picture should be a JPEG: its
+        form is not supported, or changes too soon; the stream stays as it is.
         """
         start = self._clock()
         eyes, height, width = images.shape[:3]
@@ -136,7 +136,7 @@ class VideoStream:
         try:
             data, is_key = self._code(force)
         except Exception:
-            self._context, self._form = None, ()  # whatever state it is in: the next begins anew
+            self._context, self._form = None, ()  # its state is unknown: the next picture opens a new one
             raise
         end = self._clock()
         if is_key:
@@ -210,14 +210,14 @@ class VideoStream:
 
 
 def _planes(canvas: Image) -> tuple[Image, Image, Image]:
-    """Y, U and V of planes one below the other, as OpenCV and FFmpeg lay them out."""
+    """Return views of the planes Y, U and V, which lie one below the other as in OpenCV and FFmpeg."""
     height, width = canvas.shape[0] * 2 // 3, canvas.shape[1]
     colours = canvas[height:].reshape(2, height // 2, width // 2)
     return canvas[:height], colours[0], colours[1]
 
 
 def _name(codec: str, data: bytes) -> str:
-    """As WebCodecs wants it: of H.264 profile and level of the stream (ISO/IEC 14496-15), of VP9 the highest level."""
+    """Return WebCodecs' name: for H.264 with profile and level (ISO/IEC 14496-15), for VP9 with the highest level."""
     if codec == "vp9":
         return "vp09.00.51.08"
     at = data.find(b"\0\0\1\x67") + 4

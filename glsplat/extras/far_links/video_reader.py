@@ -1,4 +1,4 @@
-"""Video as a client takes it: every picture is decoded, in order, because the next goes on from it (PyAV)."""
+"""A client's video decoder (PyAV). Every picture is decoded in order, as each is the reference of the next."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 Image = NDArray[np.uint8]
 
-_NAMES = {"vp9": "vp09", "h264": "avc1"}  # a request's name: how a reply's name begins (docs/protocol.md, section 5.2)
+_NAMES = {"vp9": "vp09", "h264": "avc1"}  # name in a request: start of a reply's name (docs/protocol.md, section 5.2)
 
 
 class VideoReader:
-    """Of one connection. Raises GlsplatError where there is no PyAV, or it decodes nothing that a server codes."""
+    """Decodes one connection's video. Raises GlsplatError without PyAV, or if it decodes none of a server's codecs."""
 
     def __init__(self) -> None:
         require_package("video", "av", "video", "leave video out")
@@ -36,17 +36,16 @@ class VideoReader:
             raise GlsplatError(f"this PyAV decodes none of {', '.join(_NAMES)}: install another, or leave video out")
         self._context: VideoCodecContext | None = None
         self._name = ""
-        self._next = 0  # number of the picture that can be decoded; 0: a key frame alone
+        self._next = 0  # number of the picture that can be decoded next; 0: only a key frame can
 
     def request_fields(self) -> dict[str, Any]:
-        """``video`` of the next request: what is decoded, and whether nothing is until a key frame comes."""
+        """Return ``video`` of the next request: the codecs, and whether a key frame is needed."""
         return {"codecs": self._codecs} | ({} if self._next else {"key": True})
 
     def eyes(self, data: bytes, said: Mapping[str, Any], size: Any) -> tuple[Image, ...]:
-        """The eyes' pictures [H, W, 3], with alpha [H, W, 4], of ``size`` (width, height), left first.
+        """Decode the eyes' pictures [H, W, 3], with alpha [H, W, 4], of ``size`` (width, height), left first.
 
-        ``said`` is ``video`` of the reply. Returns nothing where it cannot be decoded; ``request_fields`` then requests
-        a key picture.
+        ``said`` is ``video`` of the reply. Returns () for invalid data; ``request_fields`` then requests a key frame.
         """
         import av
 
@@ -57,7 +56,7 @@ class VideoReader:
             name = next(name for name, begins in _NAMES.items() if str(said["codec"]).startswith(begins))
             if self._context is None or (key and name != self._name):
                 self._context, self._name = cast("VideoCodecContext", av.CodecContext.create(name, "r")), name
-                self._context.options = {"flags": "low_delay"}  # what goes in comes out
+                self._context.options = {"flags": "low_delay"}  # decode each picture at once
                 self._context.thread_count = 1
             (frame,) = self._context.decode(av.Packet(data))
             whole = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)

@@ -1,6 +1,6 @@
 """Compressed PLY (PlayCanvas, SuperSplat, splat-transform): 16 bytes a splat, in chunks of 256 with common bounds.
 
-Element ``chunk`` has min_/max_ of x y z, of scale_x/y/z (natural logarithms) and mostly of r g b; without these,
+Element ``chunk`` has min_/max_ of x y z, of scale_x/y/z (natural logarithms) and usually of r g b; without these,
 colours lie in 0 to 1. Element ``vertex`` has four words of 32 bits, the first component in the highest bits:
 
 - packed_position, packed_scale: 11, 10 and 11 bits between the chunk's bounds: steps of 1/2047, 1/1023 and 1/2047 of
@@ -9,8 +9,8 @@ colours lie in 0 to 1. Element ``vertex`` has four words of 32 bits, the first c
   each between -+sqrt(1/2): steps of 0.0014, turned by at most 0.28 degrees
 - packed_color: 8 bits each for r g b between the bounds (rgb = 0.5 + SH_C0 f_dc) and for the opacity, 0 to 1
 
-Element ``sh``, where it is, has f_rest_0..(9|24|45) channel-major as bytes: 0 is -4, 255 is 4, else the middle of one
-of 256 equal parts of -4 to 4: errors of at most 1/64 (1/32 in the outermost parts). A zero is no middle: it is read
+The optional element ``sh`` has f_rest_0..(9|24|45) channel-major as bytes: 0 is -4, 255 is 4, else the middle of one
+of 256 equal parts of -4 to 4: errors of at most 1/64 (1/32 in the outermost parts). Zero is not a middle and is read
 as 1/64. Frame and comments are those of the plain PLY.
 """
 
@@ -40,7 +40,7 @@ _POSITION, _SCALE, _COLOUR = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"),
 _WORDS = (PACKED, "packed_rotation", "packed_scale", "packed_color")
 _THREE, _ROTATION, _FOUR = (11, 10, 11), (2, 10, 10, 10), (8, 8, 8, 8)  # bits
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # the components of a quaternion but the largest
-_LOG_LIMIT = 20.0  # of the logarithms of scales, as other writers have it: 2 nm to 485,000 km
+_LOG_LIMIT = 20.0  # of the logarithms of scales, as in other writers: 2 nm to 485,000 km
 _SH_RANGE = 4.0
 _SH_VALUES = ((np.arange(256, dtype=np.float32) + np.float32(0.5)) / 128 - 1) * np.float32(_SH_RANGE)
 _SH_VALUES[[0, 255]] = -_SH_RANGE, _SH_RANGE
@@ -48,7 +48,7 @@ _SH_VALUES[[0, 255]] = -_SH_RANGE, _SH_RANGE
 
 @dataclass(frozen=True)
 class _Table:
-    """Where the rows of an element lie, checked against the file."""
+    """The location of an element's rows, checked against the file."""
 
     start: int  # bytes
     count: int
@@ -66,7 +66,7 @@ class _Table:
 def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
     """Read the splats of an open file of ``size`` bytes, in its order.
 
-    Raises FormatError where the header lacks something, or declares more than the file holds.
+    Raises FormatError if the header is incomplete, or declares more than the file holds.
     """
     header = read_header(file)
     if not header.order:
@@ -114,7 +114,7 @@ def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
 
 
 def _check_properties(chunk: Element, vertex: Element) -> bool:
-    """Return whether the chunks have bounds of colours. Raises FormatError where properties are missing."""
+    """Return whether the chunks have bounds of colours. Raises FormatError if properties are missing."""
     coloured = any(f"min_{name}" in chunk.properties for name in _COLOUR)
     named = (*_POSITION, *_SCALE, *(_COLOUR if coloured else ()))
     for name in (f"{end}_{name}" for end in ("min", "max") for name in named):
@@ -154,7 +154,7 @@ def _unpacked(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.fl
 
 
 def _field(words: NDArray[np.uint32], bits: tuple[int, ...], at: int) -> NDArray[np.uint32]:
-    """Return the integers in one field of words whose fields have so many bits."""
+    """Return the integers in field ``at`` of words whose fields have ``bits``."""
     return words >> np.uint32(sum(bits[at + 1 :])) & np.uint32(2 ** bits[at] - 1)
 
 
@@ -172,10 +172,9 @@ def _quaternions(words: NDArray[np.uint32]) -> NDArray[np.float64]:
 def save_compressed_ply(splats: Splats, target: Source) -> None:
     """Write a compressed PLY with bounds of colours, the splats in Morton order; the same scene gives the same bytes.
 
-    Rounding is that of the module's text. Splats that are never drawn (NaN, infinity, a zero quaternion) are left
-    out. Opacities are clamped to 0 to 1, scales to 2e-9 to 5e8, SH coefficients above degree 0 to -4 to 4; a
-    negative scale is written as its magnitude. Visibility cones are left out. Raises FormatError when ``target``
-    cannot be written.
+    The module's text has the rounding. Splats that are never drawn (NaN, infinity, a zero quaternion) are left out.
+    Opacities are clamped to 0 to 1, scales to 2e-9 to 5e8, SH coefficients above degree 0 to -4 to 4; a negative scale
+    is written as its magnitude. Visibility cones are left out. Raises FormatError if ``target`` cannot be written.
     """
     replace_file(target, _packed(splats, _order(splats)))
 
@@ -266,7 +265,7 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
 
 
 def _is_compressed(opened: Opened) -> bool:
-    """Return whether it is a PLY whose header declares packed positions."""
+    """Return whether a file is a PLY whose header declares packed positions."""
     if not is_ply(opened):
         return False
     head = opened.begin(_SNIFFED)

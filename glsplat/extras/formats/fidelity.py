@@ -42,9 +42,9 @@ class Fidelity:
     positions: Error  # metres
     rounded: bool  # no position differs by more than rounding to float32 where the splat is
     scales: Error  # percent of the largest of the splat's three; a sign does not count
-    rotations: Error  # degrees of the turn between them
+    rotations: Error  # degrees of the rotation between them
     colours: Error  # of 255 levels: the colour of SH degree 0, the worst channel, negative ones drawn as 0
-    view: Error  # of 255 levels: what changes with the view (degree 1 and above), RMS over directions, worst channel
+    view: Error  # of 255 levels: SH of degree 1 and above, RMS over directions, worst channel
     opacities: Error  # in [0, 1], clamped
 
     def words(self) -> Iterator[str]:
@@ -64,7 +64,7 @@ class Fidelity:
 
 
 def read_back(scene: Splats | Avatar, path: Source) -> Fidelity:
-    """Compare ``scene`` with the file at ``path`` that it was saved in. Raises FormatError."""
+    """Compare ``scene`` with the file at ``path`` in which it was saved. Raises FormatError."""
     name = registry.recognise(path)
     order = registry.all_formats()[name].order
     saved = splats_of(scene)
@@ -75,7 +75,7 @@ def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None
     """Return the differences between ``saved`` and the splats ``found`` in its file.
 
     Splat i of the file is splat ``order[i]`` of those saved (Format.order), or splat i without an order. Raises
-    FormatError where the numbers do not fit: 1,000 splats of which the file has 999, and no order says which.
+    FormatError if the file has another number of splats than ``saved`` or ``order``.
     """
     if len(found) != (len(saved) if order is None else len(order)):
         expected = len(saved) if order is None else len(order)
@@ -90,7 +90,7 @@ def fidelity(saved: Splats, found: Splats, order: NDArray[np.intp] | None = None
         for name, measure in _MEASURES.items():
             off = measure(a, b)
             sums[name].append((float(off.max(initial=0)), float(off.sum()), len(off)))
-        # of each splat by itself: one far away would hide what the near ones lose
+        # relative to each splat's own position: a far one would hide errors of the near ones
         rounded &= bool((np.abs(b.means.astype(np.float64) - a.means) <= _ROUNDING * np.abs(a.means) + 1e-12).all())
     errors = {}
     for name, parts in sums.items():

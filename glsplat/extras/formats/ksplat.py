@@ -1,7 +1,7 @@
 """KSPLAT: the files of mkkellogg's GaussianSplats3D, compression levels 0, 1 and 2, SH degree 0 to 2. Read only.
 
-A header of 4096 bytes, so many headers of sections of 1024 bytes each as it says, then the sections; all is
-little-endian. A section has the lengths of its partly filled buckets (u32), the middles of all buckets (3 float32),
+A header of 4096 bytes, one of 1024 bytes for each section, then the sections; all is little-endian. A section
+has the lengths of its partly filled buckets (u32), the middles of all buckets (3 float32),
 and its splats: position, scales (linear), quaternion wxyz, rgba as bytes, SH above degree 0, degree by degree and in
 a degree all red, all green, all blue.
 
@@ -14,8 +14,7 @@ level  position                       scale, quaternion   SH
 2      the same                       float16             8 bits between the header's bounds
 =====  =============================  ==================  =====================================
 
-Buckets that are full come first, in order; the splats of the others follow theirs. The files say nothing of
-antialiasing or of which way is up.
+Full buckets come first, in order; the splats of the others follow. The files have neither antialiasing nor an up axis.
 """
 
 from __future__ import annotations
@@ -37,9 +36,9 @@ _Row = TypeVar("_Row", bound=np.generic)
 _BLOCK = 1 << 15  # splats converted at a time
 _MOST_SECTIONS = 1 << 14  # writers make some hundreds at most
 _MIDDLE = 12  # bytes of the middle of a bucket
-_RANGES = (1, 32767, 32767)  # of 16-bit positions, by level, where a section names none
+_RANGES = (1, 32767, 32767)  # default range of 16-bit positions, by level
 _COEFFICIENTS = (0, 3, 8)  # above degree 0, of a channel, by degree
-_SH_BOUNDS = (-1.5, 1.5)  # where the header has zeros
+_SH_BOUNDS = (-1.5, 1.5)  # default
 _HEADER = np.dtype(
     {
         "names": ["major", "minor", "sections", "count", "level", "sh_bounds"],
@@ -60,17 +59,17 @@ _SECTION = np.dtype(
 
 @dataclass(frozen=True)
 class _Section:
-    """Where a section's parts lie, checked against the file, and what its numbers mean."""
+    """Offsets of a section's parts, checked against the file, and the units of its numbers."""
 
     count: int
     degree: int
-    lengths: int  # where the lengths of the partly filled buckets begin, bytes
+    lengths: int  # byte offset of the lengths of the partly filled buckets
     middles: int
     splats: int
-    bucket: int  # splats in a full one
+    bucket: int  # splats in a full bucket
     full: int
     partial: int
-    range: int  # the value of a 16-bit position that is its bucket's middle
+    range: int  # value of a 16-bit position in its bucket's middle
     step: float  # metres
     record: np.dtype[np.void]
 
@@ -78,7 +77,7 @@ class _Section:
 def read_ksplat(file: BinaryIO, size: int) -> Splats:
     """Read the splats of an open file of ``size`` bytes, in its order; SH of the highest degree of its sections.
 
-    Raises FormatError for another version, and where a header does not fit to the file.
+    Raises FormatError for another version, or a header that does not match the file.
     """
     header = _rows(file, 0, 1, _HEADER, size)[0]
     level, expected = int(header["level"]), int(header["count"])
@@ -165,7 +164,7 @@ def _blocks(
 
 
 def _buckets(file: BinaryIO, size: int, section: _Section) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the ends of the buckets and their centres. Raises FormatError where they hold too few splats."""
+    """Return the ends of the buckets and their centres. Raises FormatError if they hold too few splats."""
     lengths = _rows(file, section.lengths, section.partial, np.dtype("<u4"), size).astype(np.int64)
     ends = np.append(np.full(section.full, section.bucket, np.int64), lengths).cumsum()
     held = int(ends[-1]) if len(ends) else 0
@@ -175,7 +174,7 @@ def _buckets(file: BinaryIO, size: int, section: _Section) -> tuple[NDArray[np.i
 
 
 def _rows(file: BinaryIO, at: int, count: int, dtype: np.dtype[_Row], size: int) -> NDArray[_Row]:
-    """Read ``count`` rows from the byte ``at``. Raises FormatError where the file is shorter."""
+    """Read ``count`` rows from the byte ``at``. Raises FormatError if the file is shorter."""
     if at + count * dtype.itemsize > size:
         raise FormatError(f"truncated: the headers declare {at + count * dtype.itemsize} bytes, the file has {size}")
     file.seek(at)
@@ -186,8 +185,8 @@ def _rows(file: BinaryIO, at: int, count: int, dtype: np.dtype[_Row], size: int)
 
 
 def _sniff(start: Opened) -> bool:
-    """Return whether the header is a KSPLAT's: a font with the same first four bytes has huge numbers behind them."""
-    if start.named(*KSPLAT.suffixes):  # of other versions too, to be refused by name
+    """Return whether the header is a KSPLAT's: a font with the same first four bytes has huge numbers after them."""
+    if start.named(*KSPLAT.suffixes):  # other versions too, for a clear error
         return start.head.startswith(b"\0") and start.head[2:4] == b"\0\0"
     sections, level = (int.from_bytes(start.head[at:to], "little") for at, to in ((4, 8), (20, 22)))
     return start.head.startswith(b"\0\1\0\0") and sections <= _MOST_SECTIONS and level <= 2

@@ -1,8 +1,8 @@
-"""EXT_meshopt_compression of glTF 2.0: bufferViews of vertices and indices, as gltfpack and glTF-Transform pack them.
+"""EXT_meshopt_compression of glTF 2.0: bufferViews of vertices and indices, from gltfpack and glTF-Transform.
 
-Vertices lie byte by byte: of every byte of an element, the differences to the element before, zigzag, sixteen to a
-group, each group with 0, 2, 4 or 8 bits a difference. Triangles are told by edges and vertices that came shortly
-before. Source: the bitstream of the extension (Khronos, vendor extension of 2020), version 0 of vertices.
+Vertices are stored byte by byte: for every byte of an element the zigzag differences to the previous element, in groups
+of sixteen with 0, 2, 4 or 8 bits a difference. Triangles refer to recent edges and vertices. Source: the bitstream of
+the extension (Khronos, vendor extension of 2020), version 0 of vertices.
 """
 
 from __future__ import annotations
@@ -15,12 +15,10 @@ from glsplat.errors import FormatError
 U8 = NDArray[np.uint8]
 
 _GROUP, _BLOCK, _MOST = 16, 8192, 256  # elements a group, bytes and elements a block
-_TAIL, _AUXILIARY = 32, 16  # bytes at the end: of vertices at least, of triangles
+_TAIL, _AUXILIARY = 32, 16  # bytes at the end: least of vertices, of triangles
 _HELP = "unpack it: npx @gltf-transform/cli copy IN.glb OUT.glb"
 _BYTES = np.arange(256, dtype=np.uint8)
-_PAIRS = np.stack(
-    [_BYTES >> 6, _BYTES >> 4 & 3, _BYTES >> 2 & 3, _BYTES & 3], axis=1
-)  # of a byte, the first is highest
+_PAIRS = np.stack([_BYTES >> 6, _BYTES >> 4 & 3, _BYTES >> 2 & 3, _BYTES & 3], axis=1)  # of a byte, highest first
 _NIBBLES = np.stack([_BYTES >> 4, _BYTES & 15], axis=1)
 
 
@@ -57,7 +55,7 @@ def _vertices(data: U8, count: int, stride: int) -> U8:
         groups = -(-rows // _GROUP)
         coded = np.zeros((stride, groups, _GROUP), np.uint8)
         for channel in range(stride):
-            head = _PAIRS[data[at : at + -(-groups // 4)]][:, ::-1].ravel()  # of headers the first is lowest
+            head = _PAIRS[data[at : at + -(-groups // 4)]][:, ::-1].ravel()  # headers start at the lowest bits
             at += -(-groups // 4)
             for group, bits in enumerate(head[:groups].tolist()):
                 at = _group(data, at, bits, coded[channel, group])
@@ -82,7 +80,7 @@ def _group(data: U8, at: int, bits: int, out: U8) -> int:
         size = 4 * bits
         out[:] = table[data[at : at + size]].ravel()
         at += size
-        large = out == most  # such follow, a byte each
+        large = out == most  # these follow, a byte each
         more = int(np.count_nonzero(large))
         if more:
             out[large] = data[at : at + more]
@@ -91,13 +89,13 @@ def _group(data: U8, at: int, bits: int, out: U8) -> int:
 
 
 def _exponential(data: U8) -> NDArray[np.float32]:
-    """Decode floats of 32 bits: a signed mantissa of 24 below a signed exponent of two of 8."""
+    """Decode floats of 32 bits: 8 bits of a signed exponent of two above 24 of a signed mantissa."""
     words = np.ascontiguousarray(data).view("<i4")
     return np.ldexp((words << 8 >> 8).astype(np.float64), words >> 24).astype("<f4")
 
 
 class _Reader:
-    """Numbers of one to five bytes, seven bits each, the lowest first; signed differences to the one before."""
+    """Reads numbers of one to five bytes, seven bits each, lowest first, and signed differences."""
 
     def __init__(self, data: bytes, at: int, end: int) -> None:
         self.data, self.at, self.end = data, at, end
@@ -140,10 +138,10 @@ def _triangles(data: bytes, count: int) -> list[int]:
     triangles = count // 3
     if count % 3 or len(data) < 1 + triangles + _AUXILIARY or data[0] & 0xF0 != 0xE0 or data[0] & 15 > 1:
         raise ValueError
-    known = 13 if data[0] & 15 else 15  # vertices that a code may name
+    known = 13 if data[0] & 15 else 15  # vertices that a code can refer to
     reader = _Reader(data, 1 + triangles, len(data) - _AUXILIARY)
     pairs = data[len(data) - _AUXILIARY :]
-    # the last sixteen, newest first: what a code counts from
+    # the last sixteen; codes count back from the newest
     edges: list[tuple[int, int]] = [(-1, -1)] * 16
     corners: list[int] = [-1] * 16
     following = last = 0
@@ -171,7 +169,7 @@ def _triangles(data: bytes, count: int) -> list[int]:
                 if kind == 0:
                     found.append(following)
                     following += 1
-                else:  # the table's codes name up to fifteen, the others write those out
+                else:  # the table's codes refer up to the fifteenth, the others write those out
                     found.append(corners[-kind] if place and (kind < 15 or code < 0xFE) else -1)
             for place, kind in enumerate(three):
                 if kind == 15 and code >= 0xFE:

@@ -1,4 +1,4 @@
-"""Morton order: splats that are near each other in space stand near each other in a file."""
+"""Morton order: neighbours in space are close in a file."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 _BITS = 10  # of each axis: a code has 30
-_CROWD = 256  # of one cell, more are ordered by a grid of their own
+_CROWD = 256  # splats of a cell above which it has its own grid
 
 
 def morton_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
     """Return the Morton order [N] of finite positions [N, 3], x lowest, on a grid of 1024 cells an axis.
 
-    Cells with more than 256 splats have a grid of their own inside (so SuperSplat orders them); equal ones stay in
-    the order in which they came.
+    Cells with more than 256 splats have their own grid, as in SuperSplat; equal positions keep their order.
     """
     order = np.arange(len(means))
     waiting = [(0, len(means))]

@@ -1,4 +1,4 @@
-"""NumPy archives (.npz) of strangers: every way this can fail is one line, and nothing unpacks without a bound."""
+"""Untrusted NumPy archives (.npz): every failure is one line, and nothing is unpacked without a limit."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError, GlsplatError
 
 _MOST = 1 << 30
-"""Bytes that the arrays may take, unpacked: the body models in use take a tenth of it."""
+"""Most unpacked bytes of the arrays; the body models in use take a tenth of it."""
 
 
 def array_names(file: BinaryIO) -> list[str]:
-    """Return the names of the archive's arrays; [] for a file that is none."""
+    """Return the names of the archive's arrays; [] for another file."""
     try:
         with np.load(file, allow_pickle=False) as archive:
             return list(archive.files)
     except OSError:
         raise
-    except Exception:  # whoever reads it says what is wrong
+    except Exception:  # the reader reports the mistake
         return []
 
 
@@ -35,9 +35,9 @@ def read_arrays(
 ) -> dict[str, NDArray[Any]]:
     """Read arrays by name: all of the archive ``file``, or ``keys`` and the present ones of ``optional``.
 
-    Nothing else is unpacked, and no pickle is read. ``what`` ("a person") begins the message of the ``error`` that is
-    raised for a file that is no archive, is damaged, lacks one of the ``keys`` or holds more than a gigabyte. OSError
-    is the caller's, who knows the file's name.
+    Nothing else is unpacked, and no pickle is read. Raises ``error``, whose message begins with ``what`` ("a person"),
+    for a file that is no archive, is damaged, lacks one of the ``keys`` or holds more than a gigabyte. OSError is
+    passed to the caller, who knows the file's name.
     """
     if file.read(2) != b"PK":
         raise error(f"{what} is an .npz archive, but this is none")
@@ -56,5 +56,5 @@ def read_arrays(
             return {key: np.asarray(archive[key]) for key in wanted}
     except (GlsplatError, OSError):
         raise
-    except Exception as failed:  # zlib.error, BadZipFile, SyntaxError of a header, MemoryError: numpy hides nothing
+    except Exception as failed:  # zlib.error, BadZipFile, SyntaxError of a header, MemoryError
         raise error(f"{what} is an .npz of numbers, but {' '.join(str(failed).split())[:120]}") from None

@@ -1,6 +1,6 @@
 """Wavefront OBJ: vertices, polygons as fans, texture coordinates, and the colours of the material file beside it.
 
-trimesh's reader is not used: it fails on negative indices, takes index 0 for the last vertex, and drops the names of
+trimesh's reader is not used: it fails on negative indices, reads index 0 as the last vertex, and drops the names of
 materials without a file.
 """
 
@@ -28,7 +28,7 @@ class Obj:
 
     vertices: NDArray[np.float64]  # [V, 3]
     faces: NDArray[np.int32]  # [F, 3]
-    uv: NDArray[np.float64]  # [F, 3, 2], v axis up; zero where a corner has none
+    uv: NDArray[np.float64]  # [F, 3, 2], v axis up; zero for corners without
     material: NDArray[np.int32]  # [F] index into names
     names: tuple[str, ...]  # of the materials, in the order of their use
     library: str | None  # the material file
@@ -74,11 +74,11 @@ def parse_obj(text: str) -> Obj:
 
 
 def textures_of(source: Path, library: str | None) -> Iterator[tuple[str, NDArray[np.uint8], bool]]:
-    """Yield (material, RGBA, is an image) of each Kd and map_Kd, in the order of the material file.
+    """Yield (material, RGBA, whether it is an image) of each Kd and map_Kd, in the order of the material file.
 
     Raises FormatError for an image that is not beside the file.
     """
-    from glsplat.extras.formats.texture import decode_texture  # here: it needs OpenCV
+    from glsplat.extras.formats.texture import decode_texture  # not at the top, as it needs OpenCV
 
     file = None if library is None else _beside(source, library)
     if file is None:
@@ -108,7 +108,7 @@ def flat(colour: tuple[float, ...] = (_GREY,) * 3) -> NDArray[np.uint8]:
 
 
 def _beside(source: Path, name: str) -> Path | None:
-    """Return a file in the folder of ``source`` or below; None where it is absent or elsewhere."""
+    """Return a file in the folder of ``source`` or below; None if it is absent or elsewhere."""
     try:
         folder = source.resolve().parent
         file = (folder / name).resolve()
@@ -118,7 +118,7 @@ def _beside(source: Path, name: str) -> Path | None:
 
 
 def _index(word: str, count: int) -> int:
-    """Return the index of an OBJ index, which counts from 1, or backwards from the end."""
+    """Convert an OBJ index, from 1 or negative from the end, to one from 1. Raises ValueError out of range."""
     value = int(word)
     value = count + 1 + value if value < 0 else value
     if not 1 <= value <= count:
@@ -133,7 +133,7 @@ def _read(start: Opened) -> RiggedMesh:
     except (ValueError, IndexError) as error:
         raise FormatError(f"not a usable OBJ ({str(error)[:80]})") from None
     source, textures = Path(start.name), dict[str, tuple[NDArray[np.uint8], bool]]()
-    library = obj.library if start.folder is not None else None  # an open file has none beside it
+    library = obj.library if start.folder is not None else None  # an open file has no folder
     for name, texture, mapped in textures_of(source, library):
         if name in obj.names and (mapped or name not in textures or not textures[name][1]):
             textures[name] = texture, mapped

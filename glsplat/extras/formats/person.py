@@ -1,4 +1,4 @@
-"""People and bodies in NumPy archives (.npz): rigged meshes, with textures or with expressions."""
+"""People and bodies in NumPy archives (.npz): rigged meshes with textures or expressions."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _JOINTS = ("joint_names", "parents", "joints")
 _NEEDED = ("vertices", "joints", "parents", "joint_names", "skin_indices", "skin_weights", "part_names")
 _BODY = ("v_template", "faces", *_JOINTS, "skin_indices", "skin_weights")
 _FACE = ("expr_names", "expr_ptr", "expr_idx", "expr_val")
-_SHOWN = {"v_template", "vertices"}  # one of them is in every archive that shows something
+_SHOWN = {"v_template", "vertices"}  # every archive with a mesh has one of them
 
 
 def read_person(path: str | Path) -> RiggedMesh:
-    """Read a person archive: an .npz of a rigged mesh with textured parts.
+    """Read a person archive, an .npz of a rigged mesh with textured parts.
 
     Keys: vertices (V, 3) metres, joints (J, 3) rest positions with frames parallel to the world, parents (J,),
     joint_names (J,), skin_indices and skin_weights (V, K), part_names (P,), and for part i: faces_i, faces_uv_i (F, 3),
@@ -61,7 +61,7 @@ def _part(data: Mapping[str, NDArray[Any]], i: int, name: str, path: str) -> Mes
         raise FormatError(f"faces_{i} and faces_uv_{i} need one shape (F, 3) and uv_{i} needs (T, 2)")
     if faces_uv.size and not 0 <= faces_uv.min() <= faces_uv.max() < len(uv):
         raise FormatError(f"faces_uv_{i} names texture coordinate {faces_uv.max()} of {len(uv)}")
-    from glsplat.extras.formats.texture import decode_texture  # here: it needs OpenCV
+    from glsplat.extras.formats.texture import decode_texture  # not at the top, as it needs OpenCV
 
     texture = decode_texture(data[f"texture_{i}"], f"{path}: texture_{i}")
     return MeshPart(name, faces.astype(np.int32), uv[faces_uv].astype(np.float64), texture)
@@ -101,7 +101,7 @@ def read_skeleton(path: str | Path) -> Skeleton:
 
 @contextmanager
 def _refused() -> Iterator[None]:
-    """Turn the errors of numbers that do not fit into FormatError."""
+    """Convert errors of inconsistent arrays to FormatError."""
     try:
         yield
     except (PoseError, TypeError, ValueError) as error:

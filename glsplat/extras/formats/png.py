@@ -1,6 +1,6 @@
-"""PNG files made safe for OpenCV's decoder: only the parts that pixels need, checked.
+"""Make PNG files safe for OpenCV's decoder: keep only the chunks that pixels need, checked.
 
-libpng inside OpenCV prints to stderr for most damaged files. Pillow does not, but meshes load without it.
+OpenCV's libpng prints to stderr for most damaged files. Pillow does not, but meshes load without it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), 
 
 
 def clean_png(data: bytes) -> bytes:
-    """Return the PNG with its pixels alone. ``data`` has passed ``read_header``. Raises FormatError for damage."""
+    """Return the PNG with only its pixels. ``data`` has passed ``read_header``. Raises FormatError for damage."""
     chunks: dict[bytes, list[bytes]] = {name: [] for name in _NEEDED}
     place, name = 8, b""
     while name != b"IEND":
@@ -29,10 +29,10 @@ def clean_png(data: bytes) -> bytes:
         if len(chunks[name]) > most:
             raise _damage(f"{name.decode()} comes twice")
     if len(chunks[b"IHDR"][0]) != 13:
-        raise _damage("its head has a wrong length")
+        raise _damage("its header has a wrong length")
     width, height, depth, colour, packing, filtering, woven = struct.unpack(">IIBBBBB", chunks[b"IHDR"][0])
     if depth not in _DEPTHS.get(colour, ()) or packing or filtering or woven > 1:
-        raise _damage("its head names no kind of pixels")
+        raise _damage("its header has no valid kind of pixels")
     palette = _palette(chunks, colour, depth)
     rows = _rows(width, height, _CHANNELS[colour] * depth, bool(woven))
     packed = b"".join(chunks[b"IDAT"])
@@ -40,7 +40,7 @@ def clean_png(data: bytes) -> bytes:
     start = 0
     for count, size in rows:
         if count and max(pixels[start : start + count * (1 + size) : 1 + size]) > 4:
-            raise _damage("its rows are not what they should be")
+            raise _damage("its rows have an invalid filter")
         start += count * (1 + size)
     parts = [(b"IHDR", chunks[b"IHDR"][0]), *palette, (b"IDAT", packed[:used]), (b"IEND", b"")]
     out = [struct.pack(">I", len(b)) + n + b + struct.pack(">I", zlib.crc32(b, zlib.crc32(n))) for n, b in parts]
@@ -48,7 +48,7 @@ def clean_png(data: bytes) -> bytes:
 
 
 def _palette(chunks: dict[bytes, list[bytes]], colour: int, depth: int) -> list[tuple[bytes, bytes]]:
-    """Return the palette, filled up so that every pixel has an entry, and its transparency."""
+    """Return the palette, padded so that every pixel has an entry, and its transparency."""
     if colour != 3:
         clear = chunks[b"tRNS"][0] if chunks[b"tRNS"] else b""
         return [(b"tRNS", clear)] if len(clear) == {0: 2, 2: 6}.get(colour) else []
@@ -74,7 +74,7 @@ def _unpacked(packed: bytes, size: int) -> tuple[bytes, int]:
     machine = zlib.decompressobj()
     try:
         pixels = machine.decompress(packed, size)
-        more = machine.decompress(machine.unconsumed_tail, 1)  # nothing but the check sum
+        more = machine.decompress(machine.unconsumed_tail, 1)  # only the check sum may follow
     except zlib.error as error:
         raise _damage(str(error).rsplit(": ", 1)[-1]) from None
     if len(pixels) != size or more or not machine.eof:

@@ -1,4 +1,4 @@
-"""Rows of the registry of formats: what this extra reads and writes."""
+"""This extra's formats in the registry."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ from glsplat.formats.format import Format
 
 
 def add_formats(formats: dict[str, Format]) -> None:
-    """Add the rows to the registry."""
+    """Add the formats to the registry."""
     formats |= {row.name: row for row in (COMPRESSED_PLY, SPLAT, KSPLAT, SPZ, SOG, OBJ, PERSON)}

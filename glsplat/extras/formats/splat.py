@@ -23,7 +23,7 @@ _PLAUSIBLE = 0.9  # of the splats; a capture may hold a few broken ones
 
 
 def read_splat(file: BinaryIO, size: int) -> Splats:
-    """Read an open file of ``size`` bytes; non-finite values are kept. Raises FormatError where 32 do not divide it."""
+    """Read an open file of ``size`` bytes; non-finite values are kept. Raises FormatError if 32 does not divide it."""
     if size % _RECORD.itemsize:
         raise FormatError(f"a .splat file has 32 bytes a splat, but this one has {size} bytes (truncated?)")
     if _holes(np.frombuffer(sampled(file, 0, size), _RECORD)) > 1 - _PLAUSIBLE:
@@ -41,7 +41,7 @@ def read_splat(file: BinaryIO, size: int) -> Splats:
         rows = np.frombuffer(data, _RECORD)
         rgba = rows["rgba"].astype(np.float32) / 255
         means[part], scales[part], opacities[part] = rows["mean"], rows["scale"], rgba[:, 3]
-        # twice: a byte is not unit, and what is nearly unit is left as it is
+        # twice, as ``normalised`` does not change quaternions that are nearly unit
         quats[part] = normalised(normalised((rows["rot"].astype(np.float32) - 128) / np.float32(128)))
         sh[part, 0] = (rgba[:, :3] - np.float32(0.5)) / np.float32(SH_C0)
     return Splats(means, quats, scales, opacities, sh)
@@ -50,7 +50,7 @@ def read_splat(file: BinaryIO, size: int) -> Splats:
 def looks_like_splat(data: bytes, *, named: bool = False) -> bool:
     """Return whether bytes can be a .splat: most positions finite, most scales positive, and no text.
 
-    ``named`` so: flat splats and ones that are not finite are taken too, as far as no scale is negative.
+    In files ``named`` .splat, flat and non-finite splats pass too, unless scales are negative.
     """
     # digits and blanks are small positive floats, but a quaternion has bytes of 128 and more
     if not data or len(data) % _RECORD.itemsize or data[:4096].isascii():
@@ -64,28 +64,28 @@ def looks_like_splat(data: bytes, *, named: bool = False) -> bool:
 
 
 def _holes(rows: NDArray[np.void]) -> float:
-    """Return the share of records of zeros: even a splat of zeros has 128s in its quaternion."""
+    """Return the share of zero records: even a splat of zeros has 128s in its quaternion."""
     return float(1 - rows.view(np.uint64).reshape(-1, 4).any(axis=1).mean()) if len(rows) else 0.0
 
 
 def save_splat(splats: Splats, target: Source) -> None:
-    """Write a .splat file: degree 0 of the colour only, colour, opacity and rotation rounded to 8 bits.
+    """Write a .splat file with SH degree 0; colour, opacity and rotation are rounded to 8 bits.
 
-    A negative scale is written as its magnitude, a rotation by the quaternion with w >= 0: the same splat. A splat
-    whose colour, opacity or rotation is not finite, which is never drawn, becomes transparent. Raises
-    FormatError when ``target`` cannot be written.
+    A negative scale is written as its magnitude, a rotation as the quaternion with w >= 0: the splat is the same. A
+    splat whose colour, opacity or rotation is not finite, which is never drawn, becomes transparent. Raises
+    FormatError if ``target`` cannot be written.
     """
     replace_file(target, _packed(splats))
 
 
 def hidden(which: NDArray[np.bool_]) -> Iterator[str]:
-    """Yield the loss of a format that cannot store the values that keep ``which`` [N] splats from being drawn."""
+    """Yield a format's loss for splats ``which`` [N] that are never drawn, and whose values it cannot store."""
     if which.any():
         yield f"{int(which.sum())} splats that are never drawn (not finite, or a zero quaternion) become transparent"
 
 
 def _hidden(splats: Splats) -> NDArray[np.bool_]:
-    """Return [N] True where an attribute that is stored in 8 bits is not finite: these become transparent."""
+    """Return [N] whether an 8-bit attribute is not finite; such splats become transparent."""
     kept = np.isfinite(splats.quats).all(axis=1) & np.isfinite(splats.opacities)
     return ~(kept & np.isfinite(splats.sh).all(axis=(1, 2)))
 
@@ -100,7 +100,7 @@ def _packed(splats: Splats) -> Iterator[bytes]:
         rgba = np.hstack([splats.sh[part, 0] * np.float32(SH_C0) + np.float32(0.5), opacities[:, None]])
         rows["rgba"] = np.rint(np.clip(np.nan_to_num(rgba), 0, 1) * 255)
         quats = np.clip(np.nan_to_num(splats.quats[part]), -1, 1)
-        quats = np.where(quats[:, :1] < 0, -quats, quats)  # a byte of 128 or more in each splat: it is never text
+        quats = np.where(quats[:, :1] < 0, -quats, quats)  # w >= 0 is a byte of 128 or more, so a file is never text
         rows["rot"] = np.clip(np.rint(quats * 128 + 128), 0, 255)
         yield rows.tobytes()
 
@@ -119,7 +119,7 @@ def _loses(scene: Splats | Avatar) -> Iterator[str]:
     if splats.sh_degree:
         yield f"spherical harmonics of degree {splats.sh_degree} are dropped, the file holds degree 0"
     if splats.antialias:
-        yield "that the splats want opacity compensation is dropped; draw them with --antialias"
+        yield "the flag for opacity compensation is dropped; draw the splats with --antialias"
     yield from hidden(_hidden(splats))
     yield from clamped_opacities(scene)
     yield from positive_scales(scene)

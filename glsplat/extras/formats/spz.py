@@ -1,8 +1,8 @@
-"""SPZ: Niantic's packed splats, versions 1 to 4. What an attribute becomes is in spz_packing.py.
+"""SPZ: Niantic's packed splats, versions 1 to 4. spz_packing.py has the encoding of attributes.
 
 A header of 16 bytes and the attributes, as one gzip stream (versions 1 to 3), which some tools leave unpacked; or
-(version 4) a header of 32 bytes, a table of sizes, and each attribute as a zstd stream. Vendors' extensions stand
-behind the attributes, or in version 4 behind the header; the one that names other axes is followed, the rest skipped.
+(version 4) a header of 32 bytes, a table of sizes, and each attribute as a zstd stream. Vendors' extensions follow the
+attributes, or in version 4 the header; the one that names other axes is applied, the rest are skipped.
 """
 
 from __future__ import annotations
@@ -32,28 +32,27 @@ from glsplat.splats import Splats
 _MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 _HEADER = struct.Struct("<4sIIBBBB")
 _ANTIALIAS, _EXTENDED, _TREE = 1, 2, 0x80  # flags
-_EXTENSIONS = 1 << 16  # bytes of all vendors' extensions that are looked at
-_AXES = 0xADBE0003  # the extension SPZ_ADOBE_coordinate_system: one of
+_EXTENSIONS = 1 << 16  # most bytes of vendors' extensions
+_AXES = 0xADBE0003  # the extension SPZ_ADOBE_coordinate_system, one of _SYSTEMS
 _SYSTEMS = ("RUB", *"LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split())
-_AMBIGUOUS = ("LFD", "RFD", "LBU", "RBU")  # Niantic's library stores them turned half around x from what they say
+_AMBIGUOUS = ("LFD", "RFD", "LBU", "RBU")  # Niantic's library stores them turned by half a turn about x
 _DIRECTIONS = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
 _BLOCK = 1 << 20
-_DEFLATED = 1032  # no deflate stream packs more bytes into one
-_ZSTD_POSITIONS = 1024 / 9  # splats a byte of the file, at most: the bound of Niantic's reader
+_DEFLATED = 1032  # largest compression ratio of deflate
+_ZSTD_POSITIONS = 1024 / 9  # most splats a byte of the file, as in Niantic's reader
 _WRITTEN = 3  # version
 
 log: logging.Logger = logging.getLogger("glsplat.formats")
 
 
 def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
-    """Read an open file of ``size`` bytes, in the axes that a 3DGS PLY of the same scene has (y down, as it is).
+    """Read an open file of ``size`` bytes in the axes of a 3DGS PLY (y down).
 
     Without ``turn`` y is up and z back, as SPZ stores them. Spherical harmonics of degree 4 are cut to degree 3, which
     is logged. Non-finite values, which only version 1 can hold, are kept. Raises FormatError: no SPZ, truncated, a
-    count that the file cannot hold, a broken stream, or a level-of-detail tree, whose splats are not meant to be drawn
-    at once.
+    count that the file cannot hold, a broken stream, or a level-of-detail tree, whose splats must not all be drawn.
 
-    Nothing is allocated for what the file does not hold, and no more is unpacked than the header's count needs.
+    Counts are checked against the file before allocation, and only the bytes of the header's count are unpacked.
     """
     head = file.read(32)
     file.seek(0)
@@ -73,8 +72,8 @@ def read_spz(file: BinaryIO, size: int, *, turn: bool = True) -> Splats:
 def spz_splats(data: bytes) -> Splats:
     """Read the splats of an SPZ file in a bufferView of glTF (KHR_gaussian_splatting_compression_spz_2).
 
-    Axes are left as they are: the accessors' bounds of real files are those of the stored numbers, and CesiumJS and
-    Cesium Native read them so. Raises FormatError.
+    Axes are not changed: the accessors' bounds in real files are those of the stored numbers, and CesiumJS and Cesium
+    Native read them so. Raises FormatError.
     """
     return read_spz(io.BytesIO(data), len(data), turn=False)
 
@@ -82,9 +81,8 @@ def spz_splats(data: bytes) -> Splats:
 def save_spz(splats: Splats, target: Source, *, version: int = _WRITTEN) -> None:
     """Write an .spz file of version 3, or 2, whose rotations are coarser, for programs from before August 2025.
 
-    Version 3 is what most programs read; version 4 packs the same numbers a little smaller, and few know it yet.
-    Splats are turned half around x, as programs do that make SPZ out of PLY. Raises FormatError when ``target``
-    cannot be written.
+    Most programs read version 3; version 4 packs the same numbers a little smaller, and few read it yet. Splats are
+    turned by half a turn about x, as in other converters from PLY. Raises FormatError if ``target`` cannot be written.
     """
     if version not in (2, 3):
         raise FormatError(f"SPZ is written as version 2 or 3, not {version!r:.20}")
@@ -102,7 +100,7 @@ def _gzipped(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
 
 
 class _Inflated:
-    """A gzip stream, unpacked no further than it is read."""
+    """A gzip stream, unpacked only as far as it is read."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._unpack = file, zlib.decompressobj(31)
@@ -127,7 +125,7 @@ class _Inflated:
 
 
 def _single(read: Callable[[int], Bytes], most: int) -> tuple[SpzHeader, list[Bytes], Bytes]:
-    """Read versions 1 to 3: header, attributes and extensions, of a stream with a limit of bytes."""
+    """Read header, attributes and extensions of versions 1 to 3 from a stream of at most ``most`` bytes."""
     header, flags = _header(read(_HEADER.size), 3)
     needed = header.count * sum(header.widths)
     if needed > most:
@@ -146,7 +144,7 @@ def _single(read: Callable[[int], Bytes], most: int) -> tuple[SpzHeader, list[By
 
 
 def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[SpzHeader, list[Bytes], Bytes]:
-    """Read version 4: the same, each attribute that takes any bytes as a stream of its own."""
+    """Read header, attributes and extensions of version 4; each attribute with bytes has its own stream."""
     if len(head) < 32:
         raise FormatError(f"truncated: the header of SPZ version 4 has 32 bytes, this file has {len(head)}")
     header, flags = _header(head[: _HEADER.size], 4)
@@ -172,7 +170,7 @@ def _streams(file: BinaryIO, size: int, head: bytes) -> tuple[SpzHeader, list[By
 
 
 def _stream(file: BinaryIO, left: int, size: int) -> bytearray:
-    """Unpack ``size`` bytes out of the next ``left``."""
+    """Unpack exactly ``size`` bytes from the next ``left``. Raises FormatError otherwise."""
     zstd = _zstd()
     unpack, out = zstd.ZstdDecompressor(), bytearray()
     while not unpack.eof and len(out) <= size:
@@ -211,7 +209,7 @@ def _header(data: Bytes, newest: int) -> tuple[SpzHeader, int]:
 
 
 def _turned(splats: Splats, extensions: Bytes) -> Splats:
-    """Turn ``splats``, read with the axes of SPZ, from the axes that an extension names."""
+    """Transform ``splats``, read with SPZ's axes, from the axes named by an extension."""
     system, at = "RUB", 0
     while at + 8 <= len(extensions):
         kind, length = struct.unpack_from("<II", extensions, at)
@@ -241,7 +239,7 @@ def _sniff(start: Opened) -> bool:
             return False
     else:
         head = start.head
-    # a .splat may begin with a number of these bytes, but hardly with a next one this small
+    # a .splat may begin with these bytes, but hardly with such a small number next
     return head[:4] == _MAGIC and head[5:8] == b"\0\0\0" and head[4] > 0
 
 

@@ -1,4 +1,4 @@
-"""How SPZ packs the attributes of splats: each into bytes of its own, one attribute of all splats after another.
+"""Encoding of splats in SPZ: one attribute of all splats after another.
 
 ==============  =====  ==================================================================  ========================
 attribute       bytes  a step                                                              what fits
@@ -34,16 +34,16 @@ U8 = NDArray[np.uint8]
 Bytes = bytes | bytearray | memoryview
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
-"""From the axes of SPZ to those of a 3DGS PLY, and back."""
+"""Rotation from SPZ's axes to a 3DGS PLY's, and back."""
 
 _CHUNK = 1 << 16  # splats converted at a time
 _LARGEST = (1 << 23) - 1  # of a position, in steps
-_BITS = 12  # of a step of the positions, as everybody writes
-_FAR = 0.001  # of the splats, that may lie outside rather than make the steps of all others larger
-_COLOUR = 0.15 * 255  # steps a unit of the coefficient: twice the range of a colour, for higher degrees to correct
-_BUCKETS = np.array([8, 16, 16], np.float32)  # of degree 1, 2, 3: steps of 1/128 written as one, which compresses
+_BITS = 12  # of the positions' fraction, as in other writers
+_FAR = 0.001  # share of splats that may be clamped instead of making all steps larger
+_COLOUR = 0.15 * 255  # steps a unit of the coefficient: twice the range of a colour, which higher degrees correct
+_BUCKETS = np.array([8, 16, 16], np.float32)  # of degree 1, 2, 3: steps of 1/128 joined for compression
 _NO_TURN = np.array([0, 0, 0, 1], np.float32)  # xyzw
-_ROOT = np.float32(0.5**0.5)  # the largest that a smaller component of a unit quaternion can be
+_ROOT = np.float32(0.5**0.5)  # largest possible smaller component of a unit quaternion
 _SMALLER = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # of xyzw, by the index of the largest
 _SHIFTS = np.array([20, 10, 0], np.uint32)
 
@@ -57,7 +57,7 @@ _SIGNED = (_BYTES / 127.5 - 1).astype(np.float32)
 
 @dataclass(frozen=True)
 class SpzHeader:
-    """What the first 16 bytes say."""
+    """The parsed first 16 bytes."""
 
     version: int
     count: int
@@ -73,9 +73,9 @@ class SpzHeader:
 
 
 def unpacked(header: SpzHeader, attributes: Sequence[Bytes], *, turn: bool) -> Splats:
-    """Return the splats of the file's attributes, each ``count`` times its width long; SH of degree 4 is left out.
+    """Return the splats of a file's attributes, of ``count`` times their widths in bytes; SH of degree 4 is left out.
 
-    With ``turn`` in the axes of a 3DGS PLY, else in the file's own.
+    ``turn`` converts to the axes of a 3DGS PLY.
     """
     count, kept = header.count, (min(header.degree, 3) + 1) ** 2
     columns: list[U8] = [
@@ -103,15 +103,15 @@ def unpacked(header: SpzHeader, attributes: Sequence[Bytes], *, turn: bool) -> S
 
 
 def packed(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
-    """Return the bytes behind the header, of version 2 or 3, in the axes of SPZ.
+    """Yield the bytes after the header, of version 2 or 3, in SPZ's axes.
 
-    A splat that is never drawn, since something of it is not finite or its quaternion is zero, becomes a transparent
-    one in the origin: SPZ has no such numbers.
+    A splat that is never drawn (not finite, or a zero quaternion) becomes transparent and moves to the origin, as SPZ
+    cannot store such numbers.
     """
     drawn = splats.drawable()
     parts = [slice(at, at + _CHUNK) for at in range(0, len(splats), _CHUNK)]
     axes = HALF_TURN.diagonal().astype(np.float32)
-    with np.errstate(all="ignore"):  # what is not drawn may be anything
+    with np.errstate(all="ignore"):  # values of undrawn splats are arbitrary
         for part in parts:
             means = np.where(drawn[part, None], splats.means[part] * axes, 0)
             steps = np.clip(np.rint(means.astype(np.float64) * 2**header.bits), -_LARGEST - 1, _LARGEST)
@@ -133,7 +133,7 @@ def packed(splats: Splats, header: SpzHeader) -> Iterator[bytes]:
 
 
 def position_bits(splats: Splats) -> int:
-    """Return the bits of the positions' fraction: 12, or as many as reach all but one in a thousand of the splats."""
+    """Return the bits of the positions' fraction: 12, or fewer to reach all but one in a thousand of the splats."""
     reach = np.abs(splats.means).max(axis=1, initial=0)
     reach = np.sort(reach[np.isfinite(reach)])
     if not len(reach):
@@ -143,7 +143,7 @@ def position_bits(splats: Splats) -> int:
 
 
 def lost(splats: Splats) -> Iterator[str]:
-    """Yield a sentence for each thing that ``packed`` does not keep, rounding apart."""
+    """Yield a sentence for each loss of ``packed`` but rounding."""
     drawn = splats.drawable()
     yield from hidden(~drawn)
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Textures of meshes: JPEG, PNG and WebP to RGBA, checked before a pixel is unpacked."""
+"""Decode textures of meshes: JPEG, PNG and WebP to RGBA, checked before any pixel is decoded."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.formats.png import clean_png
 
-_LONGEST = 16_384  # pixels; what GL takes
-_MOST = 1 << 26  # pixels: a small file may claim more than there is memory
+_LONGEST = 16_384  # pixels a side; the limit of GL
+_MOST = 1 << 26  # pixels: a small file may claim more than memory
 
 
 def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.uint8]:
-    """Decode a JPEG, PNG or WebP to RGBA uint8 [H, W, 4]; FormatError naming ``where`` if it is none, or damaged."""
+    """Decode a JPEG, PNG or WebP to RGBA uint8 [H, W, 4]. Raises FormatError naming ``where`` for others and damage."""
     buffer = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
     if buffer.dtype != np.uint8 or buffer.ndim != 1:
         raise FormatError(f"{where}: a texture is the bytes of a file, not {buffer.dtype} of shape {buffer.shape}")
@@ -41,14 +41,14 @@ def decode_texture(data: bytes | NDArray[np.uint8], where: str) -> NDArray[np.ui
 
 
 def _decoded(head: bytes, data: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-    """Decode to RGBA; None or an error of the decoder where it is damaged. Nothing is printed to stderr."""
+    """Decode to RGBA; return None or raise the decoder's error for damage. Nothing is printed to stderr."""
     if head.startswith(b"\xff\xd8"):
         space = simplejpeg.decode_jpeg_header(data, strict=False)[2]
         if space != "CMYK":
             return cv2.cvtColor(simplejpeg.decode_jpeg(data, "RGB", strict=False), cv2.COLOR_RGB2RGBA)
     if head.startswith(b"\x89PNG"):
         data = np.frombuffer(clean_png(data.tobytes()), np.uint8)
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the caller's error is the only line
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     finally:

@@ -1,3 +1,3 @@
-"""A small recurrent network that guesses what head and hands only hint at; numpy alone."""
+"""A small recurrent network that estimates the body from head and hands; numpy alone."""
 
 REQUIRES = ("formats",)

@@ -1,4 +1,4 @@
-"""Feet that follow the network's hints and still stand: planted without sliding, lifted and set down in one motion."""
+"""Feet that follow the network's hints without sliding: each is planted, lifted, and set down in one motion."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from glsplat.tracking.solve.quat import (
 
 # lengths are those of a person of 1.7 m
 LIFT_BELOW, DROP_ABOVE = 0.55, 0.75  # stance of a foot: below, it is lifted; above, it is set down; at most ...
-LIFT_SHARE, DROP_SHARE = 0.5, 0.75  # ... this part of its recent range: an unsure network says neither 0 nor 1
+LIFT_SHARE, DROP_SHARE = 0.5, 0.75  # ... this part of its recent range, as an unsure network avoids 0 and 1
 RANGE_SMOOTHING_S = 0.8  # of that range
-GOAL_SPEED, GOAL_FAR_M = 0.35, 0.07  # m/s or metres of a goal, before a foot is lifted for it
+GOAL_SPEED, GOAL_FAR_M = 0.35, 0.07  # least m/s or metres of a goal that lift a foot
 MAX_PLANTED_ERROR_M, MAX_PLANTED_TURN_RAD = 0.16, 0.6  # from a planted foot to its goal
-TURNED_RAD, SETTLED_S, SETTLING_S = 0.3, 0.6, 4.0  # from 0.6 s after a turn, for 4 s, half of that is too much
-SWING_S, SWING_UP_S = 0.15, 0.09  # in which a lifted foot follows its goal, and its height
-STRAINED_UP_S = 0.05  # likewise, upwards where its leg does not reach
-MAX_SURGE_M = 0.15  # that a foot rises at once; in a jump it hangs
-FREE_HEIGHT = 0.45  # of CLEARANCE_M, at which a foot moves over as fast as it may
-FORESIGHT_S = 0.08  # a foot leaves the ground that long before its leg is stretched
-LEAD_S = 0.065  # by which a swing is behind
+TURNED_RAD, SETTLED_S, SETTLING_S = 0.3, 0.6, 4.0  # a turn; 0.6 s after it, for 4 s, half these errors lift a foot
+SWING_S, SWING_UP_S = 0.15, 0.09  # time constants of a lifted foot towards its goal, and of its height
+STRAINED_UP_S = 0.05  # time constant upwards if its leg does not reach
+MAX_SURGE_M = 0.15  # greatest rise at once; in a jump a foot hangs
+FREE_HEIGHT = 0.45  # of CLEARANCE_M, from which a foot moves sideways at full speed
+FORESIGHT_S = 0.08  # time before its leg is stretched at which a foot is lifted
+LEAD_S = 0.065  # lag of a swing, which is compensated
 MIN_SWING_S = 0.14
-SET_DOWN_S, VERTICAL_S = 0.18, 0.07  # in which a foot is set down, and of these it only goes down
+SET_DOWN_S, VERTICAL_S = 0.18, 0.07  # duration of setting a foot down, and of its vertical end
 MIN_STANCE_S = 0.18
 STRAIN_PATIENCE_S = 0.04  # after a foot was lifted or set down, before its strained leg lifts it
 CALM_SPEED, CALM_S = 0.2, 0.6  # m/s, seconds: a slower goal stands after that time
-STEP_UP_M = 0.2  # over the ground: a goal that high stands on something
+STEP_UP_M = 0.2  # height of a goal over the ground from which it is on an object
 CLEARANCE_M = 0.045  # of the ball over the ground while it moves
-MIN_DRAG_M = 0.1  # from below its hip, at which a leg that does not reach its foot lifts it
-ASTRIDE = 0.3  # of its length that a leg's foot is from below the hip, beyond which a strained leg steps at once
-SOFT = 0.05  # of its length over which a leg becomes straight: knees of feet that follow a guess tremble more
+MIN_DRAG_M = 0.1  # horizontal distance from its hip at which an unreachable foot is lifted
+ASTRIDE = 0.3  # horizontal distance from its hip, in lengths of the leg, at which a strained leg steps at once
+SOFT = 0.05  # of its length over which a leg becomes straight: knees above estimated feet tremble more
 KNEE_SMOOTHING_S = 0.06
-LANDING_HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is put down
-MAX_REACH = 0.985  # of its length to which a lifted foot is put
+LANDING_HEEL = 0.5  # of its rise on tiptoes that an ankle may have where a foot is set down
+MAX_REACH = 0.985  # of its length that a leg with a lifted foot has at most
 LAG_SMOOTHING_S, CATCH_UP_GAIN, MAX_CATCH_UP_M = 0.8, 1.0, 0.15  # how feet that lag behind their hints catch up
 PELVIS_SPEED_SMOOTHING_S = 0.04
 
@@ -64,16 +64,16 @@ class Feet(TwoLegs):
         self.reset()
 
     def reset(self, feet: Sequence[Foot] | None = None) -> None:
-        """Forget the past; the next update puts both feet at the hints, or goes on with ``feet``."""
+        """Reset the state; the next update puts both feet at the hints, or continues with ``feet``."""
         super().reset()
         self.started: bool = feet is not None
         for foot, other in zip(self.feet, feet or (), strict=feet is not None):
             foot.take_over(other, 0.0, CLEARANCE_M * self.size)
         self._velocity.reset()
-        self._lag: Vec = (0.0, 0.0, 0.0)  # metres that feet have lately been behind their hints
-        self._catch_up: Vec = (0.0, 0.0, 0.0)  # metres that they land further on for it
+        self._lag: Vec = (0.0, 0.0, 0.0)  # recent lag of the feet behind their hints, metres
+        self._catch_up: Vec = (0.0, 0.0, 0.0)  # its compensation where they land, metres
         self._knees: list[Vec | None] = [None, None]  # from the legs' middles, in the pelvis' heading
-        self._calm_s = [0.0, 0.0]  # for which each goal has been almost still
+        self._calm_s = [0.0, 0.0]  # time for which each goal has been almost still
         self._turned_to, self._turned_s = 0.0, inf  # the heading after the last turn, and the time since
         self._since_s = [1.0, 1.0]  # since each foot was lifted or set down
         self._min_stance, self._max_stance = [0.0, 0.0], [1.0, 1.0]  # each foot's recent range
@@ -85,9 +85,9 @@ class Feet(TwoLegs):
         pelvis: Quat,
         yaw: float,
         dt: float,
-        goals: Sequence[JointPose | None] = (None, None),  # ankles and feet that are tracked
+        goals: Sequence[JointPose | None] = (None, None),  # tracked ankles and feet
         knees: Sequence[Vec | None] = (None, None),
-        rests: bool = False,  # the head is still: a foot is lifted only where its leg does not reach
+        rests: bool = False,  # the head is still: only a leg that does not reach lifts its foot
     ) -> list[LegPose]:
         """Return the left and the right leg."""
         hips = self.hips(pelvis_at, pelvis)
@@ -129,7 +129,7 @@ class Feet(TwoLegs):
         return limbs
 
     def _update_catch_up(self, hints: Sequence[FootHint], dt: float) -> None:
-        """Let feet land further on: those of an unsure network come down too early and lag behind their hints."""
+        """Let feet land further on, as those of an unsure network land early and lag behind their hints."""
         k = 1 - exp(-dt / LAG_SMOOTHING_S)
         for foot, hint in zip(self.feet, hints, strict=True):
             self._lag = pull(self._lag, sub(hint.ball, foot.ball), 0.5 * k)
@@ -142,14 +142,14 @@ class Feet(TwoLegs):
         self._catch_up = (vx / max(pace, 1e-6) * metres, 0.0, vz / max(pace, 1e-6) * metres)
 
     def _settles(self, yaw: float, dt: float) -> bool:
-        """Return whether feet that stand badly are corrected now: a while after a turn on the spot."""
+        """Return whether badly placed feet are corrected now: a while after a turn on the spot."""
         self._turned_s += dt
         if abs(wrap(yaw - self._turned_to)) > TURNED_RAD:
             self._turned_to, self._turned_s = yaw, 0.0
         return SETTLED_S < self._turned_s < SETTLED_S + SETTLING_S
 
     def _thresholds(self, side: int, stance: float, dt: float) -> tuple[float, float]:
-        """Return the stance below which a foot is lifted, and the one above which it is set down."""
+        """Return the stance below which a foot is lifted, and that above which it is set down."""
         k = 1 - exp(-dt / RANGE_SMOOTHING_S)
         least = min(stance, self._min_stance[side] + (stance - self._min_stance[side]) * k)
         most = max(stance, self._max_stance[side] + (stance - self._max_stance[side]) * k)
@@ -183,9 +183,9 @@ class Feet(TwoLegs):
         return strained and (away > USEFUL_STEP_M or turned > USEFUL_TURN_RAD)
 
     def _swing(self, foot: Foot, hint: FootHint, leg: Leg, hip: Vec, drop: float, dt: float) -> None:
-        """Move a lifted foot to its goal; where the goal stands, set it down without moving over any more."""
+        """Move a lifted foot to its goal; set it down once the goal stands."""
         ground = self.sole + self.air
-        # whatever its stance: a goal that does not move, just over the ground, stands
+        # a still goal just over the ground stands, whatever its stance
         calm = self._calm_s[foot.index] > CALM_S and hint.ball[1] < ground + STEP_UP_M * self.size
         if foot.left <= 0 and self._since_s[foot.index] > MIN_SWING_S and (hint.stance > drop or calm):
             foot.left = SET_DOWN_S
@@ -202,7 +202,7 @@ class Feet(TwoLegs):
             foot.y.approach(ground, foot.left + dt, dt)
             foot.tilt.approach(0.0, foot.left + dt, dt)
             astride = hypot(hip[0] - foot.x.at, hip[2] - foot.z.at) > ASTRIDE * leg.length
-            if foot.strained and astride:  # the body has gone on: another step
+            if foot.strained and astride:  # the body has moved on: another step
                 foot.left = 0.0
                 self._since_s[foot.index] = 0.0
                 return
@@ -213,7 +213,7 @@ class Feet(TwoLegs):
         least = ground + CLEARANCE_M * self.size
         high = clamp(hint.ball[1], least, max(least, foot.y.at + MAX_SURGE_M * self.size)) if self.air <= 0 else least
         goal = self._within(add(add(hint.ball, self._catch_up), scale(hint.speed, LEAD_S)), leg, hip, high)
-        # up before it moves over
+        # up before it moves sideways
         rises = clamp((foot.y.at - ground) / (FREE_HEIGHT * CLEARANCE_M * self.size), 0.05, 1.0)
         follow = SWING_S / rises
         foot.x.approach(goal[0], follow, dt)
@@ -223,7 +223,7 @@ class Feet(TwoLegs):
         foot.tilt.approach(clamp(hint.pitch, -0.3, TIPTOE_RAD), SWING_S, dt)
 
     def _within(self, place: Vec, leg: Leg, hip: Vec, high: float) -> Vec:
-        """Return a position for the ball at this height within the leg's reach, towards below the hip."""
+        """Limit the ball's position at this height to the leg's reach, towards the point below the hip."""
         rise = hip[1] - (high + leg.ankle[1] + LANDING_HEEL * self.tiptoe)
         most = sqrt(max((MAX_REACH * leg.limb.farthest) ** 2 - rise * rise, 0.0)) if rise > 0 else leg.limb.farthest
         x, z = place[0] - hip[0], place[2] - hip[2]

@@ -1,8 +1,8 @@
 """The network's inputs and outputs, in the head's yaw frame and in eye heights; training and run time share this code.
 
-No number depends on the position in the room or on its compass direction. Lengths are in units of the body's eye height
-divided by 1.6 (metres of a person whose eyes are at 1.6 m), so that one network serves bodies of every size. Arrays
-have a leading axis N: moments of a clip in training, one moment at run time.
+No number depends on the position or direction in the room. Lengths are in units of the body's eye height divided by 1.6
+(metres of a person whose eyes are at 1.6 m), so that one network serves bodies of every size. Arrays have a leading
+axis N: frames of a clip in training, one frame at run time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from glsplat.arrays import F32
 
 RATE_HZ = 30.0  # of the network, whatever the samples' rate
 TICK_S = 1 / RATE_HZ
-MEAN_S = (0.3, 1.0, 3.0)  # of the running means of the head's position
+MEAN_S = (0.3, 1.0, 3.0)  # time constants of the running means of the head's position
 HAND_INPUTS = 13  # tracked, position, two axes, velocity
 
 INPUTS = 1 + 6 + 3 + 1 + 2 * len(MEAN_S) + 2 * HAND_INPUTS
@@ -29,7 +29,7 @@ OUTPUTS = 3 * len(POINTS) + 12 + 12 + 2
 
 @dataclass(slots=True)
 class TrackedFrames:
-    """Head and hands at N moments, world frame, metres; rotations are those of the joints (SMPL-X rest frames)."""
+    """Head and hands in N frames, in the world, metres; rotations are those of the joints (SMPL-X rest frames)."""
 
     eye: F32  # [N, 3] between the eyes, the ground at y = 0
     yaw: F32  # [N] heading of the head, radians about y
@@ -41,10 +41,10 @@ class TrackedFrames:
 
 @dataclass(slots=True)
 class NetworkOutput:
-    """The body at N moments as the network estimates it, in the head's yaw frame: origin below the eyes, metres."""
+    """The estimated body in N frames, in the head's yaw frame: origin below the eyes, metres."""
 
     points: F32  # [N, 7, 3] POINTS
-    ahead: F32  # [N, 4, 3] ankles and feet one tick later, in the frame of now
+    ahead: F32  # [N, 4, 3] ankles and feet one tick later, in the present yaw frame
     pelvis: F32  # [N, 3, 2] x and z axes of the pelvis, columns; not quite orthonormal
     chest: F32  # [N, 3, 2]
     contact: F32  # [N, 2] logits: above 0 the foot stands
@@ -65,7 +65,7 @@ def unit_of(eye_height: float) -> float:
 
 
 def in_yaw_frame(vectors: F32, yaw: F32) -> F32:
-    """Return world vectors [N, ..., 3] in the frames turned by ``yaw`` [N] about y."""
+    """Transform world vectors [N, ..., 3] to the frames turned by ``yaw`` [N] about y."""
     shape = (-1,) + (1,) * (vectors.ndim - 2)
     c, s = np.cos(yaw).reshape(shape), np.sin(yaw).reshape(shape)
     x, z = vectors[..., 0], vectors[..., 2]
@@ -78,13 +78,13 @@ def yaw_of(head: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def updated_means(means: F32, eye: F32) -> F32:
-    """Return running means [..., 3, 2] of the head's position over the ground, one tick on with ``eye`` [..., 3]."""
+    """Update running means [..., 3, 2] of the head's position over the ground by one tick with ``eye`` [..., 3]."""
     k = np.array([1 - np.exp(-TICK_S / tau) for tau in MEAN_S], np.float32)[:, None]
     return means + (eye[..., None, [0, 2]] - means) * k
 
 
 def network_inputs(now: TrackedFrames, before: TrackedFrames, means: F32, unit: float) -> F32:
-    """Return [N, INPUTS] of these moments, those one tick earlier, and the running means [N, 3, 2]."""
+    """Return inputs [N, INPUTS] of these frames, those one tick earlier, and the running means [N, 3, 2]."""
     n, yaw = len(now.yaw), now.yaw
     k = 1 / unit
     turned = (yaw - before.yaw + np.pi) % (2 * np.pi) - np.pi

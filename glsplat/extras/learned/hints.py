@@ -1,4 +1,4 @@
-"""Hints of the network in the world: it runs at a rate of its own, its outputs are interpolated for each sample."""
+"""The network's hints in the world: it runs at its own rate, its outputs are interpolated for each sample."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from glsplat.tracking.solve.solution import Targets
 
 Array = NDArray[np.float32]
 
-TORSO_SMOOTHING_S = (0.024, 0.024, 0.024)  # of low passes, one after the other, on torso and knees
-JUMP_SMOOTHING_S = 0.04  # in which feet take up the difference between a tick and the prediction of the last one
-MISS_SHARE = 0.3  # of the newest tick in the smoothed steps and misses of feet
-CONFIDENCE_GAIN = 1.3  # of 1 - miss / step of a foot
+TORSO_SMOOTHING_S = (0.024, 0.024, 0.024)  # of successive low passes on torso and knees
+JUMP_SMOOTHING_S = 0.04  # in which the difference between a tick and its prediction fades from the feet
+MISS_SHARE = 0.3  # weight of the newest tick in the smoothed steps and errors of feet
+CONFIDENCE_GAIN = 1.3  # of 1 - error / step of a foot
 ROUNDING_S = 1e-6
 
 
@@ -44,7 +44,7 @@ ROUNDING_S = 1e-6
 class FootHint:
     """One foot, in the world."""
 
-    ball: Vec  # where it should be
+    ball: Vec  # its goal
     speed: Vec  # m/s
     yaw: float  # radians
     pitch: float  # radians, the heel up
@@ -55,7 +55,7 @@ class FootHint:
 
 @dataclass(slots=True)
 class Hint:
-    """The body that the network estimates for this moment, in the world."""
+    """The body that the network estimates for this sample, in the world."""
 
     pelvis_at: Vec
     pelvis: Quat
@@ -65,7 +65,7 @@ class Hint:
 
 @dataclass(slots=True)
 class _Tick:
-    """A network's output as plain numbers, in the world: a later turn of the head does not turn the body."""
+    """A network's output as plain numbers, in the world, so that later turns of the head do not turn the body."""
 
     pelvis: Quat
     chest: Quat
@@ -94,10 +94,10 @@ def _towards(a: _Pose, b: _Pose, k: float) -> _Pose:
 
 
 class Hints:
-    """Run the network at RATE_HZ under samples of any rate.
+    """Runs the network at RATE_HZ for samples of any rate.
 
-    A tick takes the targets at its own time, interpolated between two samples. Between ticks feet move towards the
-    positions that the network predicts for the next one.
+    A tick uses targets interpolated between two samples. Between ticks feet move towards the positions that the network
+    predicts for the next one.
     """
 
     def __init__(self, body: Body, network: PoseNetwork) -> None:
@@ -109,15 +109,15 @@ class Hints:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.state: Array = self.network.start()
         self._last: tuple[Targets, float] | None = None  # newest sample and its heading
         self._frames: TrackedFrames | None = None  # of the last tick
         self._means: Array = np.zeros((1, 3, 2), np.float32)
         self._since_s = 0.0  # from the last tick to the newest sample
         self._newest: _Tick | None = None
-        self._steps, self._misses = [0.0, 0.0], [0.0, 0.0]  # metres a tick, smoothed: predicted, and off that
-        self._offsets: list[Vec] = [(0.0, 0.0, 0.0)] * 4  # from the newest tick to the shown feet; they fade
+        self._steps, self._misses = [0.0, 0.0], [0.0, 0.0]  # smoothed metres a tick: predicted, and their errors
+        self._offsets: list[Vec] = [(0.0, 0.0, 0.0)] * 4  # from the newest tick to the shown feet, fading
         self._stages: list[_Pose] = []  # of the low passes
 
     def update(self, targets: Targets, dt: float) -> Hint:
@@ -163,7 +163,7 @@ class Hints:
             self._misses[side] = miss + MISS_SHARE * (length(sub(ball, predicted)) - miss)
 
     def _hint(self, targets: Targets, dt: float) -> Hint:
-        """Return the newest tick's body between its moment and the next tick's."""
+        """Return the newest tick's body, interpolated towards the next tick."""
         tick = self._newest
         assert tick is not None
         part = min(self._since_s / TICK_S, 1.0)
@@ -175,7 +175,7 @@ class Hints:
         for i, tau in enumerate(TORSO_SMOOTHING_S):
             self._stages[i] = pose = _towards(self._stages[i], pose, 1 - exp(-dt / tau))
         pelvis, chest, at, *knees = pose[:5]
-        stance = self._stages[1][5:]  # one low pass less: feet would be late
+        stance = self._stages[1][5:]  # one low pass less, or feet would be late
         eye = targets.eye
         feet = []
         for side in (0, 1):
@@ -199,7 +199,7 @@ class Hints:
 
 
 def _between(a: Targets, b: Targets, part: float) -> Targets:
-    """Return targets between two samples; a hand is tracked where both samples have it."""
+    """Interpolate two samples; a hand is tracked if both have it."""
     out = Targets(pull(a.eye, b.eye, part), slerp(a.head, b.head, part))
     if a.left is not None and b.left is not None:
         out.left, out.left_hand = pull(a.left, b.left, part), slerp(a.left_hand, b.left_hand, part)
@@ -209,7 +209,7 @@ def _between(a: Targets, b: Targets, part: float) -> Targets:
 
 
 def _frames(targets: Targets, yaw: float) -> TrackedFrames:
-    """Return the arrays of one moment."""
+    """Return the arrays of one sample."""
     at = [targets.left or targets.eye, targets.right or targets.eye]
     turns = quaternion_matrices(np.array([targets.head, targets.left_hand, targets.right_hand])).astype(np.float32)
     tracked = [targets.left is not None, targets.right is not None]
@@ -224,7 +224,7 @@ def _frames(targets: Targets, yaw: float) -> TrackedFrames:
 
 
 def _tick(output: NetworkOutput, eye: Vec, yaw: float) -> _Tick:
-    """Return the first moment of an output in the world."""
+    """Return the first frame of an output in the world."""
     points, ahead = output.points[0].tolist(), output.ahead[0].tolist()
     facing = yaw_quat(yaw)
 

@@ -18,14 +18,14 @@ from glsplat.extras.formats.npz import read_arrays
 from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE_HZ
 
 VERSION = 1
-"""Version of the file and of the network's inputs and outputs (``frames.py``); another one is refused."""
+"""Version of the file and of the network's inputs and outputs (``frames.py``); others are refused."""
 
 MAX_WIDTH = 1024  # of layers and state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseNetwork:
-    """Weights, float32; inputs are those of ``frames.network_inputs`` (normalising is part of the first layer).
+    """Weights, float32, for inputs of ``frames.network_inputs``; the first layer includes the normalisation.
 
     GRU as in Cho et al. 2014 with the reset gate after the product (PyTorch's and cuDNN's form).
     """
@@ -86,16 +86,16 @@ def save_network(path: str | PathLike[str], network: PoseNetwork) -> None:
 
 @lru_cache(maxsize=1)
 def embedded_network() -> PoseNetwork:
-    """Return the network that comes with the package; docs/tracking.md names its training data.
+    """Return the package's network; docs/tracking.md names its training data.
 
-    Raises FormatError where the file is damaged.
+    Raises FormatError if the file is damaged.
     """
     with resources.as_file(resources.files("glsplat.extras.learned") / "network.npz") as path:
         return load_network(path)
 
 
 def load_network(path: str | PathLike[str]) -> PoseNetwork:
-    """Read and check a model file. Raises FormatError that names the mistake."""
+    """Read and check a model file. Raises FormatError naming the mistake."""
     name = Path(path).name
     try:
         with open(path, "rb") as file:

@@ -1,4 +1,4 @@
-"""Sitting users: the pelvis rests where it came to rest, or below a head that stays at the height over a chair."""
+"""Sitting users: keep a low pelvis where it came to rest, or below a head that stays at sitting height."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from glsplat.tracking.solve.quat import (
 
 # of the pelvis' height at rest
 SITS_BELOW, STANDS_ABOVE, LIES_BELOW = 0.74, 0.84, 0.2
-LEFT_SEAT = 0.16  # a pelvis that far from the seat is no longer on it
+LEFT_SEAT = 0.16  # distance at which a pelvis has left its seat
 CALM_SPEED, CALM_S = 0.16, 0.7  # a low pelvis slower than that (m/s) for that long sits
 PELVIS_SPEED_SMOOTHING_S = 0.1
-WEIGHT_S = 0.4  # in which the pelvis comes to rest on the seat, and leaves it
+WEIGHT_S = 0.4  # duration of the transition to and from sitting
 SEAT_SMOOTHING_S, CHAIR_SMOOTHING_S = 1.5, 4.0  # of the seat's position, and of the chair that it follows
-# of the eye height: eyes of a user upright on a chair; eyes beyond the second pair have left it
+# of the eye height: range of a user upright on a chair; wider range in which they stay on it
 CHAIR_EYES, LEFT_CHAIR_EYES = (0.68, 0.82), (0.6, 0.86)
-STEADY_EYES_M, OVER_CHAIR_S = 0.08, 2.5  # such eyes stay that near for that long: nobody holds a crouch so long
+STEADY_EYES_M, OVER_CHAIR_S = 0.08, 2.5  # radius and time of eyes over a chair, longer than a crouch is held
 EYES_SMOOTHING_S, YAW_SMOOTHING_S = 1.0, 2.0
-MAX_LEAN_M = 0.45  # of the eyes, from over the chair
+MAX_LEAN_M = 0.45  # largest horizontal distance of the eyes from the chair
 
 
 class Seat:
-    """Detect whether the user sits, and where. Positions are in the world, over the ground."""
+    """Detects whether the user sits, and where. Positions are in the world, over the ground."""
 
     def __init__(self, body: Body) -> None:
         self.size: float = body.joints[PELVIS][1] - body.ground
@@ -47,7 +47,7 @@ class Seat:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.sits = False
         self.yaw = 0.0  # of the head, smoothed
         self._velocity.reset()
@@ -55,8 +55,8 @@ class Seat:
         self._seat: Vec = (0.0, 0.0, 0.0)  # position of the seated pelvis
         self._calm_s = 0.0
         self._eyes: Vec | None = None  # levelled and smoothed
-        self._over_chair_s = 0.0  # for which they have stayed at the height over a chair
-        self._chair: Vec | None = None  # position of the pelvis by that
+        self._over_chair_s = 0.0  # time for which they have stayed at sitting height
+        self._chair: Vec | None = None  # the pelvis' position by the eyes
 
     @property
     def share(self) -> float:
@@ -64,7 +64,7 @@ class Seat:
         return smoothstep(self._share)
 
     def update(self, pelvis: Vec, eye: Vec, head: Quat, dt: float) -> Vec | None:
-        """Return the position of a seated pelvis, guessed at ``pelvis``; None where the user does not sit."""
+        """Return the position of a seated pelvis, estimated at ``pelvis``; None if the user does not sit."""
         chair = self._over_chair(levelled(eye, head), swing_twist_y(head), dt)
         velocity = self._velocity.update(pelvis, dt)
         height = pelvis[1] / self.size
@@ -89,7 +89,7 @@ class Seat:
         self._seat = seat if self._share <= 0 else self._seat
 
     def _over_chair(self, eye: Vec, yaw: float | None, dt: float) -> Vec | None:
-        """Return the pelvis of a user upright on a chair, from the eyes; None where they are not over a chair."""
+        """Return the pelvis of a user upright on a chair, from the eyes; None if they are not over a chair."""
         if self._eyes is None:
             self._eyes, self.yaw = eye, yaw or 0.0
         self._eyes = pull(self._eyes, eye, 1 - exp(-dt / EYES_SMOOTHING_S))

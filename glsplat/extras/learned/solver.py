@@ -1,4 +1,4 @@
-"""The learned solver: a network guesses torso and feet; inverse kinematics keeps head, hands and ground exact."""
+"""The learned solver: a network estimates torso and feet; inverse kinematics keeps head, hands and ground exact."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ from glsplat.tracking.solve.spine import Spine, Torso
 from glsplat.tracking.solve.tracked import TrackedPelvis
 
 ANALYTIC_SHARE = 0.3  # of the pelvis' position and rotation
-LEAN_BACK, LEAN_BACK_SHARE = 0.035, 0.2  # tangent of a lean back, and the share of the excess that is shown
-HEADING_SHARE = 0.6  # of the guessed turn from head to body that is shown without hands
-SEAT_FEET_AHEAD, SEAT_WEIGHT = 0.55, 0.85  # of a leg's length, from below the hips to the balls; weight of that guess
-MAX_SWING_RAD = 0.7  # of the torso about the neck, to bring the pelvis where it should be
+LEAN_BACK, LEAN_BACK_SHARE = 0.035, 0.2  # tangent of a lean back, and the share kept of any excess
+HEADING_SHARE = 0.6  # share kept of the estimated turn from head to body without hands
+SEAT_FEET_AHEAD, SEAT_WEIGHT = 0.55, 0.85  # from hips to balls, horizontally, in leg lengths; weight of this estimate
+MAX_SWING_RAD = 0.7  # of the torso about the neck, to move the pelvis
 
 
 class LearnedSolver:
-    """A ``Solver`` with a network. Head and reachable hands are exact, whatever the network returns; feet do not slide.
+    """A ``Solver`` with a network. Head and reachable hands are exact for any output of the network; feet do not slide.
 
-    ANALYTIC_SHARE of the pelvis is the analytic solver's: both err in different ways, so that a mean is nearer than the
-    worse of them, and often nearer than either. Outside the network's training (``Uncertainty``) all of it is.
+    The pelvis is ANALYTIC_SHARE of the analytic solver's: errors of both differ, so a mean is better than the worse of
+    them, and often than either. Outside the network's training (``Uncertainty``) the pelvis is the analytic solver's.
     """
 
     keeps_limits: ClassVar[bool] = True  # rotations are within the joints' limits
@@ -73,12 +73,12 @@ class LearnedSolver:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         guesses = (self.hints, self.uncertainty, self.steady, self.analytic, self.stance, self.expected, self.seat)
         for part in (*guesses, self.ground, self.spine, self.feet, self.head_rest, self.pelvis, self.arms):
             part.reset()
-        self._miss = 0.0  # metres that the worse arm missed its hand by
-        self._shown: Feet | Legs | None = None  # the solver's feet that are shown; None before the first moment
+        self._miss = 0.0  # distance of the worse arm from its hand, metres
+        self._shown: Feet | Legs | None = None  # the shown solver's feet; None before the first sample
 
     def solve(self, targets: Targets, dt: float) -> Solution:
         """Return the body: ground, hints, torso, seat, legs, arms."""
@@ -118,7 +118,7 @@ class LearnedSolver:
         return self.ground.raised(out)
 
     def _shown_feet(self, lost: float) -> Feet | Legs:
-        """Return the feet that are shown; those of one solver go on from the other's."""
+        """Return the shown feet; at a change, one solver's feet continue from the other's."""
         before, shown = self._shown, self.analytic.legs if lost > 0 else self.feet
         if shown is not before and before is not None:
             shown.reset(before.feet)
@@ -126,9 +126,9 @@ class LearnedSolver:
         return shown
 
     def _mixed(self, targets: Targets, hint: Hint, analytic: Torso, share: float, lost: float, dt: float) -> Torso:
-        """Return a torso with ``share`` of the analytic pelvis; all of it is analytic where the network is ``lost``.
+        """Return a torso with ``share`` of the analytic pelvis, all of it if the network is ``lost``.
 
-        The eyes stay. The chest is the network's, which has seen the hands that arms must reach from it.
+        The eyes do not move. The chest is the network's, which knows the hands that arms must reach from it.
         """
         if lost >= 1:
             self.steady.reset()
@@ -139,7 +139,7 @@ class LearnedSolver:
         return self._torso(targets, hint, self.steady.update(pull(hint.pelvis_at, analytic.pelvis_at, share), dt))
 
     def _seat_feet(self, hint: Hint, torso: Torso) -> None:
-        """Move the feet's hints as on a chair: on the ground, below the knees, the thighs ahead."""
+        """Move the feet's hints for a chair: on the ground, below the knees, the thighs ahead."""
         yaw, rests = self.seat.yaw, SEAT_WEIGHT * self.seat.share
         for foot, leg in zip(hint.feet, self.feet.legs, strict=True):
             hip_x, hip_y, hip_z = leg.hip
@@ -153,14 +153,14 @@ class LearnedSolver:
             foot.yaw += wrap(yaw - foot.yaw) * rests
 
     def _turn_to_head(self, hint: Hint, head: Quat) -> None:
-        """Turn the body towards the head's heading: without hands, which way it faces is hard to guess."""
+        """Turn the body towards the head's heading, as its own is hard to estimate without hands."""
         ahead, pelvis = swing_twist_y(head), swing_twist_y(hint.pelvis)
         if ahead is not None and pelvis is not None:
             turn = yaw_quat((1 - HEADING_SHARE) * wrap(ahead - pelvis))
             hint.pelvis, hint.chest = mul(turn, hint.pelvis), mul(turn, hint.chest)
 
     def _torso(self, targets: Targets, hint: Hint, place: Vec) -> Torso:
-        """Return the hinted torso, hung on the head, its pelvis swung about the neck towards ``place``."""
+        """Return the hinted torso below the head, its pelvis swung about the neck towards ``place``."""
         torso = self.spine.hang(targets.eye, targets.head, hint.pelvis, hint.chest)
         now, goal = unit(sub(torso.pelvis_at, torso.neck_at)), unit(_not_behind(sub(place, torso.neck_at), hint.pelvis))
         axis = quat.cross(now, goal)
@@ -173,7 +173,7 @@ class LearnedSolver:
 
 
 def _not_behind(way: Vec, pelvis: Quat) -> Vec:
-    """Limit how far the way from neck to pelvis leans back: people do not lean back for long."""
+    """Limit the backward lean of the vector from neck to pelvis, as people do not lean back for long."""
     yaw = swing_twist_y(pelvis)
     if yaw is None or way[1] >= 0:
         return way

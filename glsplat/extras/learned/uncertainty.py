@@ -11,15 +11,15 @@ from glsplat.tracking.solve.solution import Targets
 # pairs: an uncertainty begins beyond the first value, and ends beyond the second
 TILTED_UP = (0.3, 0.5)  # vertical part of the head's up: a head that lies or hangs
 LOW_EYES = (0.62, 0.68)  # of the eye height: a deep squat, on all fours, on the floor
-MISSED_HAND_M = (0.06, 0.03)  # at an eye height of 1.6 m: a hand out of reach of the guessed chest, ...
+MISSED_HAND_M = (0.06, 0.03)  # at an eye height of 1.6 m: a hand out of reach of the estimated chest, ...
 MISSED_S = (0.2, 1.0)  # ... for that long
-TAKEOVER_S = 0.35  # in which the torso goes from one solver to the other
+TAKEOVER_S = 0.35  # duration of the torso's transition between the solvers
 
 
 class Uncertainty:
     """Share of the analytic solver in the torso: 0 none, 1 all of it. Smooth in time.
 
-    The network knows little of heads near the ground, upside down or on their side, and of hands out of reach.
+    The network is unreliable for heads near the ground, upside down or on their side, and for hands out of reach.
     """
 
     def __init__(self, eye_height: float) -> None:
@@ -28,14 +28,14 @@ class Uncertainty:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.uncertain: bool = False
         self._share: float | None = None  # before easing
         self._misses = False
-        self._changed_s = 0.0  # for which that has been otherwise
+        self._changed_s = 0.0  # time for which that has differed
 
     def update(self, targets: Targets, missed: float, dt: float) -> float:
-        """Return the share of this moment. ``missed``: metres by which the worse arm missed its hand a moment ago."""
+        """Return the share now. ``missed``: distance of the worse arm from its hand in the last frame, metres."""
         up = rotate(targets.head, (0.0, 1.0, 0.0))[1]
         side = int(self._misses)
         changed = (missed > MISSED_HAND_M[side] * self.size) != self._misses
@@ -55,7 +55,7 @@ SMOOTHING_S = 0.5  # of the model's inputs
 GAP_FLOOR_M, SPEED_FLOOR = 0.02, 0.05  # m, m/s: added under the logarithms
 MAX_ERROR_M = 0.8
 
-# a joint's expected error is exp of these times (1, log of the gap, log of the head's speed, how low it is, lost hands)
+# a joint's expected error is exp of these times (1, log of gap, log of head speed, head lowness, lost hands)
 COEFFICIENTS: dict[tuple[int, ...], tuple[float, float, float, float, float]] = {
     (b.PELVIS, *b.HIPS): (-0.74, 0.72, 0.15, 0.58, 0.10),
     (b.SPINE1, b.SPINE2, b.SPINE3): (-1.12, 0.67, 0.11, 0.70, 0.11),
@@ -69,7 +69,7 @@ COEFFICIENTS: dict[tuple[int, ...], tuple[float, float, float, float, float]] = 
 
 
 class ExpectedError:
-    """Expected distance of each joint from the truth, fitted on people whom the network was not trained on.
+    """Expected distance of each joint from the truth, fitted on people outside the network's training data.
 
     A generalised linear model (gamma errors, logarithmic link) on the gap between the network's and the analytic
     pelvis, the head's speed and height, and the number of lost hands. Lengths are those of eyes at 1.6 m.
@@ -81,7 +81,7 @@ class ExpectedError:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self._last_eye: Vec | None = None
         self._inputs: tuple[float, ...] | None = None
 
@@ -96,7 +96,7 @@ class ExpectedError:
         return tuple(out)
 
     def inputs(self, targets: Targets, gap: float, dt: float) -> tuple[float, ...]:
-        """Return the model's inputs: 1, and four numbers that change smoothly."""
+        """Return the model's inputs: 1, and four smoothed numbers."""
         eye = targets.eye
         step = sub(eye, self._last_eye or eye)
         self._last_eye = eye

@@ -6,19 +6,19 @@ from math import exp
 
 from glsplat.tracking.solve.quat import Vec, add, pull, scale, sub
 
-POSITION_SMOOTHING_S = (0.022, 0.022)  # of two low passes, one after the other
-LAG_SMOOTHING_S = 0.12  # of the velocity by which their lag is compensated
+POSITION_SMOOTHING_S = (0.022, 0.022)  # of two successive low passes
+LAG_SMOOTHING_S = 0.12  # of the velocity that compensates their lag
 
 
 class Velocity:
-    """The velocity of a point, m/s, behind a low pass of ``smoothing`` seconds; zero in the first moment."""
+    """Velocity of a point, m/s, after a low pass of ``smoothing`` seconds; zero at first."""
 
     def __init__(self, smoothing: float) -> None:
         self.smoothing = smoothing
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self.value: Vec = (0.0, 0.0, 0.0)
         self._last: Vec | None = None
 
@@ -39,7 +39,7 @@ class SteadyPosition:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
         self._velocity.reset()
         self._stages: list[Vec] = []
 
@@ -51,5 +51,5 @@ class SteadyPosition:
         for i, seconds in enumerate(POSITION_SMOOTHING_S):
             k = 1 - exp(-dt / seconds)
             self._stages[i] = position = pull(self._stages[i], position, k)
-            lag += dt * (1 - k) / k  # of a low pass in steps, behind a steady motion
+            lag += dt * (1 - k) / k  # of a low pass in steps, for a steady motion
         return add(position, scale(velocity, lag))

@@ -24,7 +24,7 @@ _AMASS_KEYS = (
 
 
 def read_amass(file: BinaryIO, skeleton: Skeleton, forward: bool) -> Motion:
-    """Read an open archive: y up, from above the origin on; ``forward`` turns it to face +z. Raises PoseError."""
+    """Read an open archive: y up, starting above the origin; ``forward`` turns it to face +z. Raises PoseError."""
     if why := why_not_driven(skeleton):
         raise PoseError(f"AMASS cannot drive this avatar: {why}")
     try:
@@ -62,7 +62,7 @@ def read_amass(file: BinaryIO, skeleton: Skeleton, forward: bool) -> Motion:
     trans = _shaped(data, "trans", frames, 1)[:, 0] if "trans" in data else np.zeros((frames, 3))
     rates = [data[k] for k in ("mocap_framerate", "mocap_frame_rate") if k in data]
     fps = float(rates[0].reshape(-1)[0]) if rates and rates[0].size else 120.0
-    Motion(fps, rotations, trans)  # refuse nonsense before it is turned
+    Motion(fps, rotations, trans)  # refuses invalid numbers before they are turned
     z_to_y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # -90 degrees about x
     rotations, trans = turned(rotations, trans, z_to_y, skeleton)
     if forward:

@@ -1,4 +1,4 @@
-"""The animations of a glTF file (2.0, 3.11 and appendix C): where its nodes are at a time."""
+"""Animations of a glTF file (2.0, 3.11 and appendix C): global matrices of its nodes over time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from glsplat.rotations import quaternion_matrices, unit_vectors
 
 _PATHS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",)}
 _KINDS = ("LINEAR", "STEP", "CUBICSPLINE")
-_MOST_KEYS = 1 << 22  # of all tracks together: many may name one accessor
+_MOST_KEYS = 1 << 22  # of all tracks together: many may share an accessor
 
 
 class _Target(msgspec.Struct):
@@ -37,7 +37,7 @@ class _Sampler(msgspec.Struct):
 
 
 class Animation(msgspec.Struct):
-    """animations[]."""
+    """An entry of animations[]."""
 
     channels: list[_Channel]
     samplers: list[_Sampler]
@@ -51,7 +51,7 @@ class _Track:
     kind: str
 
     def at(self, times: F64, turn: bool) -> F64:
-        """[T, C] at ``times`` [T]; before the first key and after the last as there. ``turn``: of quaternions."""
+        """Return values [T, C] at ``times`` [T], constant beyond the first and last keys. ``turn``: quaternions."""
         cubic = self.kind == "CUBICSPLINE"
         values = self.values[:, 1] if cubic else self.values
         if len(values) == 1:
@@ -73,21 +73,21 @@ class _Track:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """An animation of some nodes and all above them."""
+    """An animation of some nodes and their ancestors."""
 
     graph: Graph
     nodes: list[int]  # parents come first
-    start: float  # seconds of the first key
-    end: float  # of the last
-    rate: float  # keys a second of the track that has the most of them; 0 where none has two
+    start: float  # time of the first key, seconds
+    end: float  # time of the last key, seconds
+    rate: float  # keys a second of the track with the most keys; 0 if none has two
     _moved: dict[tuple[int, str], _Track]
     _rest: dict[tuple[int, str], F64]
 
     def worlds(self, times: F64) -> F64:
-        """[T, N, 4, 4] global matrices of ``nodes`` at ``times`` [T]."""
+        """Return global matrices [T, N, 4, 4] of ``nodes`` at ``times`` [T]."""
         out = np.empty((len(times), len(self.nodes), 4, 4))
         place = {node: k for k, node in enumerate(self.nodes)}
-        with np.errstate(all="ignore"):  # who asks looks for what is not finite
+        with np.errstate(all="ignore"):  # callers check for values that are not finite
             for k, node in enumerate(self.nodes):
                 out[:, k] = self._local(node, times)
                 above = place.get(int(self.graph.parents[node]))
@@ -114,7 +114,7 @@ class Tracks:
 
 
 def animations_of(container: Container) -> list[Animation]:
-    """All of them. Raises FormatError where one is malformed."""
+    """Return all animations of a file. Raises FormatError if one is malformed."""
     try:
         return msgspec.convert(container.gltf.animations, list[Animation])
     except msgspec.ValidationError as error:
@@ -122,12 +122,12 @@ def animations_of(container: Container) -> list[Animation]:
 
 
 def names_of(animations: Iterable[Animation]) -> list[str]:
-    """What each is called; its number where it has no name."""
+    """Return the animations' names, or their numbers where they have none."""
     return [animation.name or str(place) for place, animation in enumerate(animations)]
 
 
 def tracks_of(container: Container, graph: Graph, animation: Animation, nodes: Iterable[int]) -> Tracks:
-    """What moves ``nodes`` and all above them; no more of the file is read. Raises FormatError for what is broken."""
+    """Read only the tracks that move ``nodes`` and their ancestors. Raises FormatError for malformed tracks."""
     wanted: set[int] = set()
     for node in nodes:
         at = node
@@ -139,7 +139,7 @@ def tracks_of(container: Container, graph: Graph, animation: Animation, nodes: I
     for channel in animation.channels:
         target, path = channel.target.node, channel.target.path
         if target is None or path not in _PATHS or target not in wanted or (target, path) in moved:
-            continue  # of another extension, a morph target's weights, nobody's joint
+            continue  # an extension's path, morph weights, or another node
         sampler = item(animation.samplers, channel.sampler, "animation sampler")
         keys += item(container.gltf.accessors, sampler.output, "accessor of an animation").count
         if keys > _MOST_KEYS:
@@ -178,7 +178,7 @@ def _track(container: Container, sampler: _Sampler, path: str, what: str) -> _Tr
 
 
 def _slerp(first: F64, second: F64, part: F64) -> F64:
-    """[T, 4] between unit quaternions [T, 4], the shorter way (glTF 2.0, appendix C.4)."""
+    """Interpolate between unit quaternions [T, 4] on the shorter arc (glTF 2.0, appendix C.4)."""
     a, b = unit_vectors(first), unit_vectors(second)
     cos = np.einsum("ti,ti->t", a, b)
     b = np.where(cos[:, None] < 0, -b, b)

@@ -1,4 +1,4 @@
-"""Whole motions at once: forward kinematics and resampling for T frames (numpy)."""
+"""Forward kinematics and resampling of T frames at once (numpy)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Array = NDArray[np.float64]
 
 
 def forward_all(skeleton: Skeleton, rotations: Array, trans: Array) -> tuple[Array, Array]:
-    """World positions [T, J, 3] and rotations [T, J, 3, 3] of axis-angle [T, J, 3] and trans [T, 3].
+    """Return world positions [T, J, 3] and rotations [T, J, 3, 3] of axis-angle [T, J, 3] and trans [T, 3].
 
-    For rigs whose rest frames are parallel to the world (SMPL-X).
+    The rig's rest frames must be parallel to the world (SMPL-X).
     """
     local = rotation_matrices(rotations)
     rest, parents = skeleton.joints, skeleton.parents
@@ -30,7 +30,7 @@ def forward_all(skeleton: Skeleton, rotations: Array, trans: Array) -> tuple[Arr
 
 
 def resample(rotations: Array, trans: Array, fps: float, rate: float) -> tuple[Array, Array]:
-    """The motion at another frame rate: cubic Hermite (Catmull-Rom) on trans and on sign-aligned quaternions."""
+    """Resample a motion from ``fps`` to ``rate``: cubic Hermite (Catmull-Rom) on trans and sign-aligned quaternions."""
     frames = len(trans)
     if frames < 2 or abs(rate - fps) < 1e-9:
         return rotations, trans

@@ -1,4 +1,4 @@
-"""Readers of motion capture: Biovision BVH, and Acclaim ASF/AMC (a skeleton file and a motion file)."""
+"""Read motion capture: Biovision BVH, and Acclaim ASF/AMC (a skeleton file and a motion file)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from glsplat.extras.motions.clip import Clip, chained, check_size
 from glsplat.rotations import rotation_matrices
 
 _Bone = dict[str, NDArray[np.float64] | list[str]]
-_ACCLAIM_FPS = 120.0  # the file does not say; CMU's captures
+_ACCLAIM_FPS = 120.0  # CMU's rate, which the file does not have
 _MAX_JOINTS = 1024
 _LONGEST = 8  # words of a name
-_BLOCK = 1 << 20  # characters of numbers that are split at a time
+_BLOCK = 1 << 20  # characters of numbers split at a time
 
 
 def parse_bvh(text: str) -> Clip:
-    """A BVH file's text. Angles in degrees, channels in the order the file lists them (intrinsic rotations).
+    """Parse a BVH file's text. Angles are in degrees, channels in the file's order (intrinsic rotations).
 
     Raises PoseError: malformed or truncated hierarchy or motion, no frames, non-finite numbers.
     """
@@ -48,7 +48,7 @@ def parse_bvh(text: str) -> Clip:
 
 
 def _numbers(text: str, count: int, what: str) -> F64:
-    """[count] numbers of a text, split a block at a time: a list of all words would take ten times the room."""
+    """Parse ``count`` numbers of a text, a block at a time: a list of all words would take ten times the memory."""
     if count > (len(text) + 1) // 2:
         raise PoseError(f"{what} are {count} numbers, found at most {(len(text) + 1) // 2}")
     out, done, start = np.empty(count), 0, 0
@@ -154,17 +154,17 @@ def _clip_of_channels(
     if _added(rest, moved, below):
         for i in below:
             moved[i] = np.where([f"{axis}position" in channels[i] for axis in "xyz"], moved[i] + rest[i], rest[i])
-    else:  # offsets that are all zero say nothing about the body: its channels do
+    else:  # offsets that are all zero do not describe the body: its channels do
         for i in below:
             rest[i] = rest[i] if rest[i].any() else np.median(moved[i], axis=0)
     return chained(names, np.array(parents, np.int32), rest, rotations, moved, fps)
 
 
 def _added(rest: F64, moved: Mapping[int, F64], below: Sequence[int]) -> bool:
-    """Whether position channels below the root hold what is added to the offset, not the position itself.
+    """Return whether position channels below the root are added to the offset instead of replacing it.
 
-    Most makers write the position (Bandai-Namco, Blender): it stays near the offset. Some write what is added
-    (MakeHuman): that stays near zero. A file does the one or the other; bones vote, each as it lies most of the time.
+    Most makers write the position (Bandai-Namco, Blender), which stays near the offset. Some write an increment
+    (MakeHuman), which stays near zero. The file's bones vote by the median of their channels.
     """
     votes = 0
     for i in below:
@@ -176,7 +176,7 @@ def _added(rest: F64, moved: Mapping[int, F64], below: Sequence[int]) -> bool:
 
 
 def _euler(order: list[str], degrees: F64) -> F64:
-    """[T, 3, 3] R = R_first R_second R_third (intrinsic), any number of axes, repeats allowed."""
+    """Return R = R_first R_second R_third [T, 3, 3] (intrinsic), for any number of axes, repeats allowed."""
     out = np.tile(np.eye(3), (len(degrees), 1, 1))
     for k, axis in enumerate(order):
         out = out @ _about(axis, degrees[:, k])
@@ -184,18 +184,18 @@ def _euler(order: list[str], degrees: F64) -> F64:
 
 
 def _about(axis: str, degrees: F64) -> F64:
-    """[..., 3, 3] rotations about a coordinate axis."""
+    """Return rotations [..., 3, 3] about a coordinate axis."""
     return rotation_matrices(np.radians(degrees)[..., None] * np.eye(3)["xyz".index(axis.lower())])
 
 
 def _fixed_axes(degrees: ArrayLike) -> F64:
-    """[..., 3, 3] of [..., 3] angles about x, then y, then z, which stay where they are."""
+    """Return rotations [..., 3, 3] by angles [..., 3] about the fixed axes x, then y, then z."""
     x, y, z = np.moveaxis(np.asarray(degrees, np.float64), -1, 0)
     return _about("z", z) @ _about("y", y) @ _about("x", x)
 
 
 def parse_acclaim(skeleton: str, motion: str) -> Clip:
-    """Text of an .asf and an .amc file. Lengths stay in the file's unit; 120 frames a second (CMU).
+    """Parse the text of an .asf and an .amc file. Lengths stay in the file's unit; 120 frames a second (CMU).
 
     A bone turns by C M C^-1 with C its ``axis`` rotation and M the frame's angles, both fixed-axis x, y, z. Raises
     PoseError for malformed or truncated text.
@@ -207,7 +207,7 @@ def parse_acclaim(skeleton: str, motion: str) -> Clip:
         raise PoseError("the .asf skeleton is malformed or truncated") from None
     frames = _amc(motion)
     index = {name: i for i, name in enumerate(order)}
-    # our joint sits at the near end of the bone: at the far end of the parent
+    # a joint of ours is at the near end of its bone: the far end of the parent
     offsets = np.array([bones[parent_of[n]]["tip"] if n != "root" else np.zeros(3) for n in order])
     parents = np.array([index[parent_of[n]] if n != "root" else -1 for n in order], np.int32)
     check_size(len(frames), len(order))
@@ -310,7 +310,7 @@ def _amc(text: str) -> list[dict[str, list[float]]]:
 
 
 def skeleton_file(path: Path) -> Path:
-    """The .asf beside an .amc: the only one in the folder whose name the .amc's begins with (02.asf for 02_01.amc)."""
+    """Return the .asf in an .amc's folder with the longest name that the .amc's begins with (02.asf for 02_01.amc)."""
     fits = [p for p in sorted(path.parent.glob("*.asf")) if path.stem.startswith(p.stem)]
     if not fits:
         raise PoseError(f"{path}: needs its skeleton beside it, an .asf file whose name this one begins with")

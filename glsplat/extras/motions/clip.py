@@ -1,4 +1,4 @@
-"""A motion on a skeleton of its own, whoever made it: what the readers of motions make."""
+"""Clip: a motion on its own skeleton, the result of the readers of motions."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ class Clip:
 
     names: tuple[str, ...]
     parents: NDArray[np.int32]  # [S] parents come first, -1 for the root
-    rest: F64  # [S, 3] where the joints rest
-    turns: F64  # [T, S, 3, 3] how each has turned since, in the world
-    places: F64  # [T, S, 3] where each is
+    rest: F64  # [S, 3] rest positions of the joints
+    turns: F64  # [T, S, 3, 3] their rotations from the rest pose, in the world
+    places: F64  # [T, S, 3] their positions
     fps: float
     given: Mapping[str, int | None] = field(default_factory=dict)
-    """SMPL-X joint -> index, where the file itself says so (VRM)."""
-    y_up: bool = False  # the format says so, of the world in which they move
-    label: str = ""  # of several in a file: "#Walk"
-    note: str = ""  # and what else there is
+    """SMPL-X joint -> index, from the file itself (VRM)."""
+    y_up: bool = False  # whether the format states that the world's y is up
+    label: str = ""  # which of several in a file: "#Walk"
+    note: str = ""  # names of the others
 
     def __post_init__(self) -> None:
         for values in (self.rest, self.turns, self.places):
             if not np.abs(values).max(initial=0) < _FARTHEST:  # NaN is not less either
-                raise PoseError("a motion needs finite numbers of some size, found NaN, infinity or far too large ones")
+                raise PoseError("a motion needs finite numbers, found NaN, infinity or far too large ones")
 
     def __len__(self) -> int:
         return len(self.turns)
 
 
 def check_size(frames: int, joints: int) -> None:
-    """Raises PoseError for more than is read; to be asked before anything is allocated."""
+    """Raise PoseError above the size limit; call this before any allocation."""
     if frames * joints > _MOST:
         raise PoseError(f"a motion has at most {_MOST} joints times frames, not {frames} frames of {joints}; cut it")
 
@@ -50,11 +50,11 @@ def chained(
     names: Sequence[str],
     parents: NDArray[np.int32],  # [S] parents come first
     offsets: F64,  # [S, 3] rest position in the parent's frame
-    rotations: F64,  # [T, S, 3, 3] local; taken over and changed
+    rotations: F64,  # [T, S, 3, 3] local; overwritten
     moved: Mapping[int, F64],  # joint -> [T, 3] position in the parent's frame, instead of the offset
     fps: float,
 ) -> Clip:
-    """A clip whose rest pose has no rotations, by forward kinematics: G_j = G_p R_j, p_j = p_p + G_p o_j."""
+    """Return a clip with an unrotated rest pose, by forward kinematics: G_j = G_p R_j, p_j = p_p + G_p o_j."""
     rest, turns = np.zeros_like(offsets), rotations
     places = np.empty((len(rotations), len(names), 3))
     for i, parent in enumerate(parents):

@@ -1,4 +1,4 @@
-"""What a user says of a motion file that is not read as it was meant: behind its name, FILE#up=z#scale=0.01."""
+"""Corrections of a motion file that a user writes behind its name: FILE#up=z#scale=0.01."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from glsplat.rotations import rotation_between, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 
 HELP = "up=z, scale=0.01, turn=180, floor=0, sides=swapped, fps=60"
-"""Each that there is, once."""
+"""An example of every correction."""
 
 _KEYS = ("up", "scale", "turn", "floor", "sides", "fps")
 _AXES = {f"{sign}{axis}": k for k, axis in enumerate("xyz") for sign in ("", "-")}
@@ -22,24 +22,24 @@ _AXES = {f"{sign}{axis}": k for k, axis in enumerate("xyz") for sign in ("", "-"
 
 @dataclass(frozen=True)
 class Corrections:
-    """Axes are those in which the motion is shown without them: y up."""
+    """Corrections in the axes of the uncorrected motion: y up."""
 
     up: str = "y"  # the axis that is up: x, -x, y, -y, z, -z
-    scale: float = 1.0  # of the ways, not of the body
-    turn: float = 0.0  # degrees about the vertical, of the body, not of its way
-    floor: bool = False  # shift it so that the feet stand on the floor; most files are shifted unasked
-    swapped: bool = False  # what the file calls left is right
+    scale: float = 1.0  # of the path, not of the body
+    turn: float = 0.0  # of the body about the vertical, not of its path; degrees
+    floor: bool = False  # put the feet on the floor; most files are shifted anyway
+    swapped: bool = False  # the file's left is right
     fps: float | None = None
 
     @property
     def world(self) -> F64:
-        """[3, 3] turns ``up`` to y."""
+        """Rotation [3, 3] from ``up`` to y."""
         axis = np.eye(3)[_AXES[self.up]] * (-1 if self.up.startswith("-") else 1)
         return np.diag([-1.0, -1.0, 1.0]) if self.up == "-y" else np.asarray(rotation_between(axis, [0.0, 1.0, 0.0]))
 
     @property
     def about(self) -> F64:
-        """[3, 3] the turn of the body about the vertical."""
+        """Rotation [3, 3] of the body about the vertical."""
         return np.asarray(rotation_matrices([0.0, np.radians(self.turn), 0.0]))
 
     def applied(self, motion: Motion, skeleton: Skeleton, *, ground: bool = False) -> Motion:
@@ -62,7 +62,7 @@ class Corrections:
 
 
 def split_corrections(choice: str | None) -> tuple[str | None, Corrections]:
-    """What stands behind the "#" of a motion's name: an animation's name, if one is there, and corrections.
+    """Split the text behind a motion's "#" into an animation's name, or None, and corrections.
 
     Raises PoseError, one line.
     """

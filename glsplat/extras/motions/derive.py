@@ -1,4 +1,4 @@
-"""Head and hand tracking from a motion whose full body is known: the truth that solvers are scored against."""
+"""Derive head and hand tracking from a full-body motion, the ground truth that scores solvers."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from glsplat.tracking.solve.quat import Vec
 Array = NDArray[np.float64]
 
 EXTRAS = ("waist", "feet", "body")
-"""What ``derive`` adds to a headset."""
+"""Trackers that ``derive`` can add to a headset."""
 
 MOUNTS: tuple[tuple[Vec, Vec], ...] = (
     ((0.03, 0.06, -0.13), (0.3, 2.9, 0.2)),
     ((0.01, -0.02, 0.07), (-0.6, 0.3, 0.1)),
     ((-0.02, -0.01, 0.08), (2.0, -0.4, 1.0)),
 )
-"""Where trackers are in the frames of pelvis, left and right ankle: metres, and a rotation vector. On the back of a
-belt, and on two insteps, the right one anyhow."""
+"""Poses of trackers in the frames of pelvis, left and right ankle: metres, and a rotation vector. They are on the back
+of a belt and on both insteps, the right one at an arbitrary angle."""
 
 _BODY = [PELVIS, SPINE1, *[leg[i] for i in (0, 1) for leg in (HIPS, KNEES, ANKLES, FEET)]]  # BODY_JOINTS
 
@@ -47,18 +47,18 @@ class TrueMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disturbance:
-    """What real tracking does to a signal."""
+    """Errors of real tracking."""
 
     noise_mm: float = 0.0  # standard deviation of positions, a coordinate; white
     noise_deg: float = 0.0  # standard deviation of orientations, an axis
     dropout: float = 0.0  # share of the time a hand is lost
     dropout_s: float = 0.3  # mean length of a loss, seconds
-    latency_s: float = 0.0  # samples tell of this long ago
+    latency_s: float = 0.0  # age of the samples' poses, seconds
     seed: int = 0
 
 
 def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: float, rate: float) -> TrueMotion:
-    """A motion of ``skeleton`` at ``rate`` Hz, in a world whose ground is y = 0 (where the zero pose stands)."""
+    """Return a motion of ``skeleton`` at ``rate`` Hz, in a world whose ground is y = 0 (where the zero pose stands)."""
     if not (1 <= rate <= 1000 and fps > 0):
         raise PoseError(f"a rate needs 1 to 1000 Hz, not {rate:g} (motion at {fps:g} fps)")
     if len(trans) < 2:
@@ -70,9 +70,9 @@ def truth_from_motion(skeleton: Skeleton, rotations: Array, trans: Array, fps: f
 
 
 def derive(skeleton: Skeleton, truth: TrueMotion, fingers: bool = True, trackers: Sequence[str] = ()) -> list[Sample]:
-    """What an ideal headset would see of the truth: eyes, wrists and (``fingers``) 25 joints a hand.
+    """Return an ideal headset's samples of the truth: eyes, wrists and (``fingers``) 25 joints a hand.
 
-    ``trackers``: of "waist", "feet" and "body", what there is besides; trackers sit on the body as ``MOUNTS`` says.
+    ``trackers`` adds any of "waist", "feet" and "body"; ``MOUNTS`` has their poses on the body.
     """
     if unknown := set(trackers) - set(EXTRAS):
         raise PoseError(f"trackers are {', '.join(EXTRAS)}, not {', '.join(sorted(unknown))}")
@@ -106,14 +106,14 @@ def derive(skeleton: Skeleton, truth: TrueMotion, fingers: bool = True, trackers
 
 
 def with_expressions(samples: Sequence[Sample], motion: Motion) -> list[Sample]:
-    """The samples with the face that ``motion`` has at their times."""
+    """Return the samples with the expressions of ``motion`` at their times."""
     if not motion.expressions:
         return list(samples)
     return [replace(sample, expression=motion.at(sample.t, loop=False).expression) for sample in samples]
 
 
 def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:
-    """Latency, then losses of a hand, then noise; the same for the same seed."""
+    """Apply latency, then losses of hands, then noise; the same for the same seed."""
     rng = np.random.default_rng(how.seed)
     times = np.array([s.t for s in samples])
     dt = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 72
@@ -144,7 +144,7 @@ def disturb(samples: list[Sample], how: Disturbance) -> list[Sample]:
 
 
 def _tracker(truth: TrueMotion, index: int) -> list[Transform]:
-    """The poses of a tracker that sits on its joint as ``MOUNTS`` says."""
+    """Return the poses of a tracker mounted by ``MOUNTS``."""
     joint, (offset, turn) = JOINTS[index], MOUNTS[index]
     frames = truth.frames[:, joint]
     return _transforms(
@@ -168,7 +168,7 @@ def _transforms(positions: Array, quats: Array) -> list[Transform]:
 
 
 def _hand_joints(body: Body, truth: TrueMotion, side: str) -> list[tuple[tuple[float, ...], ...]]:
-    """WebXR's 25 joints: wrist, thumb (4), then four fingers of 5, from SMPL-X's 16 and rest-pose fingertips."""
+    """Return WebXR's 25 joints (wrist, thumb (4), four fingers of 5) from SMPL-X's 16 and rest-pose fingertips."""
     wrist, first = (WRISTS[0], 25) if side == "left" else (WRISTS[1], 40)
     palm = truth.positions[:, wrist]
     columns: list[Array] = [palm]

@@ -1,8 +1,8 @@
-"""Whether a motion looks as a person moves, once it is on a body: upright, on the floor, as fast as people are.
+"""Check that a retargeted motion is plausible for a person: upright, on the floor, at human speed.
 
-Files say neither their unit nor what is up, and some are wrong about both. What looks wrong is said with the correction
-(corrections.py) that would mend it; nothing is changed. Thresholds lie beyond 328 clips of the CMU database, in which
-people climb, hang from bars, stand on their hands and walk backwards.
+Files lack their unit and up axis, or have wrong ones. A warning names the correction (corrections.py); the motion is
+not changed. Thresholds lie beyond 328 clips of the CMU database, in which people climb, hang from bars, stand on their
+hands and walk backwards.
 """
 
 from __future__ import annotations
@@ -23,43 +23,43 @@ _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")
 _FEET = [_AT[f"{side}_{part}"] for side in _SIDES for part in ("ankle", "foot")]
 _HANDS = [_AT[f"{side}_wrist"] for side in _SIDES]
-_LOOKED_AT = 200  # moments
-_STEP = 1 / 30  # seconds from one to where its speed is measured
-_STRAIGHT = 0.8  # length of the mean over trunk, legs and time of their directions: somebody straight lies all along
-_FALLEN = 0.6  # the same, of who is upside down
+_LOOKED_AT = 200  # most sampled frames
+_STEP = 1 / 30  # seconds between the two frames of a speed
+_STRAIGHT = 0.8  # component, along an axis, of the mean direction of trunk and legs: more than that is up
+_FALLEN = 0.6  # the same, downwards: more than that is upside down
 _FASTEST = 12.0  # m/s, of a sprinter
-_HANDS_FASTEST, _USUAL = 10.0, 30.0  # m/s against the pelvis; pictures a second
-_FARTHEST = 10.0  # metres above the floor or below
+_HANDS_FASTEST, _USUAL = 10.0, 30.0  # m/s of hands relative to the pelvis; usual frames a second
+_FARTHEST = 10.0  # metres above or below the floor
 _UNITS = (0.01, 0.0254, 0.001, 0.3048, 0.1)  # metres; the likeliest first
-_SPEEDS = (0.2, 6.0)  # m/s of who goes somewhere
-_ABOVE, _BELOW = 0.15, 0.15  # metres from the floor
-_WALKS, _FEW, _WAY = 0.4, 8, 1.5  # m/s; moments; metres
-_LOW = 0.08  # metres above its lowest place where a foot stands
-_UPRIGHT, _ALIKE = 0.7, 0.75  # cosines: of the trunk with the vertical, of ways and steps
-_PACE = (0.6, 1.7)  # of a way to the steps that make it
-_GLIDES, _SWAYS = 0.2, 0.06  # the same, of who does not step; of a way in centimetres
-_AGAINST, _MOSTLY = 0.7, 0.25  # cosine of the way and where they look; share of the moments
-_SLIDES = 60.0  # degrees between a way and what the feet make of it
-_BENT, _WRONG = 0.2, 0.8  # radians of a knee that is bent; share of the moments in which it is so the wrong way
+_SPEEDS = (0.2, 6.0)  # m/s of a travelling person
+_ABOVE, _BELOW = 0.15, 0.15  # accepted metres from the floor
+_WALKS, _FEW, _WAY = 0.4, 8, 1.5  # least m/s, sampled frames and metres of a walk
+_LOW = 0.08  # metres of a standing foot above its lowest place
+_UPRIGHT, _ALIKE = 0.7, 0.75  # cosines: trunk with the vertical, path with steps
+_PACE = (0.6, 1.7)  # accepted ratio of the steps to the path
+_GLIDES, _SWAYS = 0.2, 0.06  # the same ratio: most without steps, most if the path has another unit
+_AGAINST, _MOSTLY = 0.7, 0.25  # cosine of backward movement; share of the frames
+_SLIDES = 60.0  # degrees between the path and that of the steps
+_BENT, _WRONG = 0.2, 0.8  # radians of a bent knee; share of bent knees that bend the wrong way
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A motion at some moments, of a body of 55 joints."""
+    """Sampled frames of a motion, of 55 joints."""
 
     at: F64  # [M, 55, 3] metres
     speed: F64  # [M, 55, 3] m/s
-    low: F64  # [M] metres from where it rests up to the lowest foot joint
-    ahead: F64  # [M, 3] where the pelvis looks
-    knees: F64  # [M, 2] radians that they are bent, as knees bend
-    fastest: float  # m/s of the pelvis, of all frames but the fastest few
-    hands: float  # m/s against the pelvis, of all moments but a few
-    leg: float  # metres
+    low: F64  # [M] height of the lowest foot joint above its rest height, metres
+    ahead: F64  # [M, 3] direction in which the pelvis faces
+    knees: F64  # [M, 2] flexion, radians
+    fastest: float  # 95th percentile of the pelvis' speed, m/s
+    hands: float  # 95th percentile of the hands' speed relative to the pelvis, m/s
+    leg: float  # length, metres
     seconds: float
 
 
 def doubt(motion: Motion, skeleton: Skeleton, name: str) -> str:
-    """One line: what looks wrong in a motion and how ``name`` is to be written instead; "" where nothing does.
+    """Return one line on what looks wrong in a motion and how to write ``name`` instead; "" if nothing does.
 
     >>> walk = load_motion("walk", skeleton)
     >>> doubt(walk, skeleton, "walk")
@@ -71,7 +71,7 @@ def doubt(motion: Motion, skeleton: Skeleton, name: str) -> str:
     what = correction = ""
     looks = (_size, _floor, _sides, _way)
     for look in looks if motion.known_up else (_up, _speed, *looks):  # glTF has seconds, y up
-        if not what:  # what is wrong first makes the rest look wrong too
+        if not what:  # one error makes later checks fail too
             what, correction = look(seen)
     return f"looks wrong: {what}; if so, write {name}#{correction}" if what else ""
 
@@ -122,7 +122,7 @@ def _size(seen: _Seen) -> tuple[str, str]:
     if not sways and seen.fastest <= _FASTEST and abs(height) <= _FARTHEST:
         return "", ""
     units = [unit for unit in _UNITS if abs(height) * unit < 2 * seen.leg] or [*_UNITS[:1]]
-    if gait.surely and abs(gait.made) < 0.5:  # feet that stand say how long the way is
+    if gait.surely and abs(gait.made) < 0.5:  # standing feet give the length of the path
         units.sort(key=lambda unit: abs(np.log(abs(gait.made) / unit)))
     else:
         units.sort(key=lambda unit: not _SPEEDS[0] < seen.fastest * unit < _SPEEDS[1])
@@ -164,7 +164,7 @@ def _way(seen: _Seen) -> tuple[str, str]:
         if quarter:
             how = "back to front" if abs(quarter) == 180 else "sideways"
             return f"they walk {how}, their feet slide", f"turn={abs(quarter) if abs(quarter) == 180 else quarter}"
-        return "", ""  # feet that stand stay where they are, also of who walks backwards
+        return "", ""  # standing feet stay in place, also when walking backwards
     faces = float((unit_vectors(seen.ahead * (1, 0, 1))[walks] * goes[walks]).sum() / size[walks].sum())
     against = faces < -_AGAINST and walks.mean() > _MOSTLY and gait.made.real < _GLIDES
     return ("they move backwards, and their feet do not", "turn=180") if against else ("", "")
@@ -173,9 +173,9 @@ def _way(seen: _Seen) -> tuple[str, str]:
 @dataclass(frozen=True)
 class _Gait:
     made: complex
-    """What the way of the pelvis is to be multiplied by so that a foot that stands stays where it is; as z + ix."""
-    seen: bool  # they go somewhere
-    surely: bool  # what feet do under the body is a multiple of the way
+    """Factor of the pelvis' velocity that keeps a standing foot in place, complex (z + ix)."""
+    seen: bool  # whether the person walks
+    surely: bool  # whether the steps are a multiple of the path
 
 
 def _gait(seen: _Seen) -> _Gait:

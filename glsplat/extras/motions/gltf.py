@@ -15,16 +15,16 @@ from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, graph_of, instances
 from glsplat.rotations import nearest_rotations
 
-_FPS, _SLOWEST, _FASTEST = 30.0, 15.0, 120.0  # of pictures; of keys that may be the pictures' rate
+_FPS, _SLOWEST, _FASTEST = 30.0, 15.0, 120.0  # default frame rate; range of key rates used instead
 _MOST_NODES = 1 << 12
 _BLOCK = 1 << 16  # joints times frames at a time
 
 
 def read_animation(start: Opened, choice: str | None = None) -> Clip:
-    """One animation of a .glb, .gltf, .vrm or .vrma; ``choice`` is its name or number, None the first.
+    """Read one animation of a .glb, .gltf, .vrm or .vrma; ``choice`` is its name or number, None the first.
 
-    Its frames are as far apart as its keys where those are 15 to 120 a second, else 30 a second. The rest pose is that
-    in which the skin was bound; without a skin, that of the nodes. Raises FormatError or PoseError.
+    Its frame rate is that of its keys, at most 120 a second, or 30 a second if they have less than 15. The rest pose is
+    that in which the skin was bound; without a skin, that of the nodes. Raises FormatError or PoseError.
     """
     container = read_container(start.file, start.size, start.folder)
     animations = animations_of(container)
@@ -94,7 +94,7 @@ def _clip(container: Container, graph: Graph, animations: list[Animation], choic
 
 
 def _skins(container: Container, graph: Graph) -> list[int]:
-    """Skins that are used, the one with the most joints first."""
+    """Return the used skins, the one with the most joints first."""
     gltf = container.gltf
     used = {instance.node.skin for instance in instances(gltf, graph.world)} - {None}
     skins = [skin for skin in used if skin is not None]
@@ -102,10 +102,10 @@ def _skins(container: Container, graph: Graph) -> list[int]:
 
 
 def _moved(tracks: Tracks, rest: F64, frames: int, fps: float) -> tuple[F64, F64]:
-    """[T, N, 3, 3] how the nodes have turned since they rested, and [T, N, 3] where they are; both in the world."""
+    """Return the nodes' rotations [T, N, 3, 3] from the rest pose and positions [T, N, 3]; both in the world."""
     count = len(tracks.nodes)
     bases = rest[:, :3, :3].copy()
-    bases[np.linalg.svd(bases, compute_uv=False)[:, -1] <= 0] = np.eye(3)  # hidden by a scale of 0: nobody's joint
+    bases[np.linalg.svd(bases, compute_uv=False)[:, -1] <= 0] = np.eye(3)  # hidden by a scale of 0: of no person
     back = np.linalg.inv(bases)
     turns, places = np.empty((frames, count, 3, 3)), np.empty((frames, count, 3))
     step = max(1, _BLOCK // max(count, 1))

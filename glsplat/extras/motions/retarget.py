@@ -1,4 +1,4 @@
-"""A clip of anybody's skeleton on the 55 joints of SMPL-X."""
+"""Retarget a clip of any skeleton to the 55 joints of SMPL-X."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
 _AT = {name: i for i, name in enumerate(JOINT_NAMES)}
-_RIGID = 0.1  # of a bone: what skins and capturing systems change its length by
+_RIGID = 0.1  # of a bone: change of length that skins and capture systems cause
 _SIDES = ("left", "right")
-# what hangs from what in a limb; a bone that a file splits ends where the next of these begins
+# joints along each limb; a bone that a file splits ends where the next of these begins
 _CHAINS = (
     ("spine1", "spine2", "spine3", "neck", "head"),
     *(tuple(f"{side}_{part}" for part in ("hip", "knee", "ankle", "foot")) for side in _SIDES),
@@ -43,17 +43,16 @@ def retarget(
     skeleton: Skeleton,
     *,
     forward: bool = False,
-    world: F64 | None = None,  # [3, 3] turns the world in which they are seen to move, once more
-    swapped: bool = False,  # what the clip calls left is right
+    world: F64 | None = None,  # [3, 3] another rotation of the world in which they move
+    swapped: bool = False,  # the clip's left is right
 ) -> tuple[F64, F64]:
-    """Rotations [T, 55, 3] (axis-angle) and translations [T, 3] (metres) of ``clip`` on an SMPL-X rig.
+    """Return rotations [T, 55, 3] (axis-angle) and translations [T, 3] (metres) of ``clip`` on an SMPL-X rig.
 
-    Which joint is which say their names (skinning/rigs). Each of ours turns as its namesake does, from a rest pose in
-    which the bones of both point alike, so that rest poses may differ (arms down against T). A bone that a file splits
-    turns as its last piece, which holds the others, and points where its ends do. Feet that stand, stand flat. Lengths
-    are scaled by the legs, so any unit will do; the middle of the hips goes where the file's does, and begins above the
-    origin. ``forward`` turns the clip to face +z at frame 0. Joints the file does not have stay at rest. Raises
-    PoseError when needed joints are not found, and for animals.
+    Joints are matched by name (extras/rigs). Each turns as its match does, from a rest pose in which the bones of both
+    are parallel, so that rest poses may differ (arms down against T). A bone that a file splits turns as its last piece
+    and points from its first end to its last. Soles of standing feet are flat. Lengths are scaled by the legs, so any
+    unit will do; the middle of the hips follows the file's and starts above the origin. ``forward`` turns the clip to
+    face +z at frame 0. Missing joints stay at rest. Raises PoseError if needed joints are not found, and for animals.
     """
     if why := why_not_driven(skeleton):
         raise PoseError(f"motion capture cannot drive this avatar: {why}")
@@ -97,7 +96,7 @@ def retarget(
 
 
 def stretched(clip: Clip) -> str:
-    """What is left out of a clip whose position channels make bones longer or shorter; "" where they do not."""
+    """Return a note on bones whose length changes, which an avatar's do not; "" if none does."""
     at, most = match_rig(clip.names, clip.parents, clip.rest, clip.given).joints, 0.0
     for above, below in _BONES.items():
         if above in at and below in at:
@@ -107,18 +106,18 @@ def stretched(clip: Clip) -> str:
 
 
 def _pointed(turns: F64, bone: F64, along: F64) -> F64:
-    """[T, 3, 3] ``turns`` [T, 3, 3], turned the least so that ``bone`` [3] of them points ``along`` [T, 3]."""
+    """Turn ``turns`` [T, 3, 3] by the least angle so that ``bone`` [3] points ``along`` [T, 3]."""
     is_ = turns @ (bone / max(float(np.linalg.norm(bone)), 1e-12))
     sizes = np.linalg.norm(along, axis=1, keepdims=True)
     to = np.where(sizes > 1e-9, along / np.maximum(sizes, 1e-12), is_)
     axis = np.cross(is_, to)
     sin, cos = np.linalg.norm(axis, axis=1), np.einsum("ti,ti->t", is_, to)
-    angle = np.where(cos > -0.999, np.arctan2(sin, cos), 0.0)  # which way, opposite ones do not say
+    angle = np.where(cos > -0.999, np.arctan2(sin, cos), 0.0)  # opposite directions have no axis
     return np.asarray(rotation_matrices(axis * (angle / np.maximum(sin, 1e-12))[:, None]) @ turns)
 
 
 def _last_pieces(found: RigMap, clip: Clip) -> dict[str, int]:
-    """SMPL-X joint -> index of the last piece of its bone: MakeHuman's upperleg02, Daz's thigh twist, CMU's hand."""
+    """Return SMPL-X joint -> last piece of its bone: MakeHuman's upperleg02, Daz's thigh twist, CMU's hand."""
     out = dict(found.joints)
     for chain in _CHAINS:
         there = [name for name in chain if name in found.joints]
@@ -127,7 +126,7 @@ def _last_pieces(found: RigMap, clip: Clip) -> dict[str, int]:
             while at >= 0 and at != found.joints[name]:
                 at = int(clip.parents[at])
             out[name] = last if at >= 0 else found.joints[name]
-    for side in _SIDES:  # several bones go on from a hand: it is told by its name
+    for side in _SIDES:  # several bones continue from a hand: its name identifies it
         wrist = found.joints.get(f"{side}_wrist", -1)
         if wrist >= 0 and word_of(clip.names[wrist]).stem == "wrist":
             hands = [i for i in np.flatnonzero(clip.parents == wrist) if word_of(clip.names[i]).stem == "hand"]
@@ -136,7 +135,7 @@ def _last_pieces(found: RigMap, clip: Clip) -> dict[str, int]:
 
 
 def _leg(points: F64, index: Mapping[str, int]) -> float:
-    """As ``leg_length``, of a rig that may lack its ankles."""
+    """Return ``leg_length`` of a rig that may lack its ankles."""
     total = 0.0
     for side in _SIDES:
         hip, knee = points[index[f"{side}_hip"]], points[index[f"{side}_knee"]]
@@ -146,6 +145,6 @@ def _leg(points: F64, index: Mapping[str, int]) -> float:
 
 
 def _facing(root: F64) -> F64:
-    """[3, 3] turn about y that makes a root rotation face +z."""
+    """Return the rotation [3, 3] about y that makes a root rotation face +z."""
     ahead = root[:, 2]
     return rotation_matrices([0, -np.arctan2(ahead[0], ahead[2]), 0])

@@ -1,4 +1,4 @@
-"""Rows of the registry of formats: motions of other programs. Readers are imported when a file needs them."""
+"""Formats of the registry: motions of other programs. Readers are imported when a file needs them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _MESH_ARRAYS = {"v_template", "vertices", "faces"}
 
 
 def add_formats(formats: dict[str, Format]) -> None:
-    """Add the formats of motions, and let glTF's rows read animations."""
+    """Add the formats of motions, and make glTF's read animations."""
     for name in ("glb", "gltf"):
         formats[name] = replace(formats[name], read_motion=_animation)
     if "npz" in formats:
-        formats["npz"] = replace(formats["npz"], read_motion=_amass)  # says what an archive lacks of a motion
+        formats["npz"] = replace(formats["npz"], read_motion=_amass)  # reports what an archive lacks
     formats |= {row.name: row for row in (_AMASS, _BVH, _ACCLAIM)}
 
 
@@ -64,7 +64,7 @@ def _retargeted(clip: Clip, skeleton: Skeleton, forward: bool, said: Corrections
 
 
 def _needed(name: str) -> ModuleType:
-    """Import a module of this extra that needs extras/rigs. Raises FormatError where that is not installed."""
+    """Import a module of this extra that needs extras/rigs. Raises FormatError if that is not installed."""
     module = plugin(f"motions.{name}")
     if module is None:
         raise FormatError(missing("rigs", "the skeleton of a motion"))

@@ -1,4 +1,4 @@
-"""How the person of a clip stands at rest, and which way is up: files differ, and some say nothing that holds."""
+"""Find a standing rest pose and the up axis of a clip, which many files lack or have wrong."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from glsplat.rotations import nearest_rotations, rotation_between, unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
 _SIDES = ("left", "right")
-_LOOKED_AT = 256  # frames among which one is looked for that stands
+_LOOKED_AT = 256  # most frames among which a standing one is sought
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar")
-_ACROSS, _ALONG = 0.3, 0.8  # cosines of the body's axis with what was up at rest, and with what is up as it moves
-# of a leg: where soles may be above the floor, where hips are at least, how far a standing foot moves in a second
+_ACROSS, _ALONG = 0.3, 0.8  # cosines of the moving body's axis with up at rest (most) and with another axis (least)
+# of a leg: most height of soles, least height of hips, most speed of a standing foot in a second
 _LOW, _HIGH, _STILL = 0.25, 0.6, 0.3
-_NEAR = 0.1  # of a leg: above the lowest place of a foot
-_LEAST, _FRAMES = 0.05, 3  # seconds and frames that a foot stands at least
-_ALIKE, _TILTED = 0.9, 0.75  # cosines: of a foot's soles with each other, and of their tilt at most
+_NEAR = 0.1  # of a leg: height above a foot's lowest place
+_LEAST, _FRAMES = 0.05, 3  # least seconds and frames of a standing foot
+_ALIKE, _TILTED = 0.9, 0.75  # least cosines: of a foot's soles with each other, and of their tilt
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +31,14 @@ class Standing:
 
     clip: Clip
     map: RigMap
-    rest: F64  # [3, 3] turns the rest pose upright: y up, x the person's left
-    world: F64  # [3, 3] the same of the world in which they move
+    rest: F64  # [3, 3] rotates the rest pose upright: y up, x the person's left
+    world: F64  # [3, 3] the same for the world in which they move
 
 
 def standing(clip: Clip, *, swapped: bool = False) -> Standing:
-    """The clip, with another rest pose where its own is none. Raises PoseError where nobody stands, or joints lack.
+    """Return the clip, with another rest pose if its own does not stand.
 
-    ``swapped``: what it calls left is right.
+    ``swapped``: its left is right. Raises PoseError if no frame stands, or needed joints are missing.
     """
     if swapped:
         found = _matched(clip)
@@ -64,9 +64,9 @@ def _matched(clip: Clip) -> RigMap:
 
 
 def _by_a_frame(clip: Clip, found: RigMap, error: PoseError) -> tuple[Clip, RigMap, F64]:
-    """Of files whose bones at rest all lie along one axis (LaFAN's, Rokoko's): the straightest frame is the rest pose.
+    """Make the straightest frame the rest pose, for files whose bones at rest are all parallel (LaFAN's, Rokoko's).
 
-    Trunk and head rest as they are on average: in one frame they may look aside.
+    Trunk and head rest in their mean rotations, as in one frame they may look aside.
     """
     best, straightest = -1, 0.0
     for frame in range(0, len(clip), -(-len(clip) // _LOOKED_AT)):
@@ -89,12 +89,12 @@ def _by_a_frame(clip: Clip, found: RigMap, error: PoseError) -> tuple[Clip, RigM
 
 
 def _straight(points: F64, found: RigMap) -> float:
-    """How straight trunk, legs and arms are, and the trunk and legs upright; 0 for who does not stand."""
+    """Return how straight trunk, legs and arms and how upright trunk and legs are; 0 if the person does not stand."""
     try:
         y = upright(found, points)[1]
     except PoseError:
         return 0.0
-    if np.abs(y).max() < 1 - 1e-6:  # they lie askew
+    if np.abs(y).max() < 1 - 1e-6:  # not along an axis
         return 0.0
     at = {name: points[index] for name, index in found.joints.items()}
     marks = []
@@ -108,9 +108,9 @@ def _straight(points: F64, found: RigMap) -> float:
 
 
 def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
-    """[3, 3] turns what is up as they move to what was at rest: some files rest with y up and move with z up.
+    """Return the rotation [3, 3] from up while moving to up at rest: some files rest with y up and move with z up.
 
-    Who lies down in a file of one axis is told apart by the floor: along the other axis, soles would not be at 0.
+    The floor distinguishes a person who lies down: along the other axis, the soles would not be at 0.
     """
     places = {name: clip.places[:, found.joints[name]] for name in found.joints}
     hips, knees, shoulders = ((places[f"left_{p}"] + places[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder"))
@@ -124,11 +124,11 @@ def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
         places[f"{side}_{part}"] @ other for side in _SIDES for part in ("ankle", "foot") if f"{side}_{part}" in places
     ]
     above = not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg
-    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # nobody lies in the air
+    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # a person cannot lie in the air
         return np.eye(3)
     turn = rotation_between(other, up)
     across = turn @ (places["left_hip"][0] - places["right_hip"][0])
-    about = 2 * np.outer(up, up) - np.eye(3)  # half a turn: that they look ahead at first, as most files have it
+    about = 2 * np.outer(up, up) - np.eye(3)  # half a turn, so that they start facing ahead as in most files
     return turn if across @ left > 0 else about @ turn
 
 
@@ -137,9 +137,9 @@ def flat_soles(
     turned: F64,  # [T, 3, 3] of an ankle, upright
     side: str,
 ) -> F64:
-    """[3, 3] turns an ankle about itself so that its sole is flat while the foot stands; none where it is not known.
+    """Return the local rotation [3, 3] of an ankle that makes its sole flat while it stands; the identity if unknown.
 
-    Joints do not say how a sole lies at rest: level in most files, tilted with legs that are spread in others (CMU).
+    Joints do not give the sole's tilt at rest: it is level in most files, and tilted with spread legs in others (CMU).
     """
     clip, at = stood.clip, stood.map.joints
     leg = 2 * float(np.linalg.norm(clip.rest[at[f"{side}_hip"]] - clip.rest[at[f"{side}_knee"]]))

@@ -64,10 +64,10 @@ def sighted(views: tuple[ViewPose, ViewPose] | None) -> tuple[ViewPose, ViewPose
 def camera_of(
     view: ViewPose,
     size: tuple[int, int],
-    shown: NDArray[np.float64],  # [4, 4] the user's room to the room as it is shown; of a mirror a reflection
+    shown: NDArray[np.float64],  # [4, 4] the user's room to the shown room; a reflection for a mirror
     background: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Camera:
-    """Return the camera of an eye for the user's room, which is shown elsewhere (``Place.shown``).
+    """Return an eye's camera for the user's room, which is displaced by ``Place.shown``.
 
     viewmat = diag(1, -1, -1, 1) inverse(T_W_e) shown (docs/conventions.md); in a mirror its determinant is -1.
     """
@@ -76,6 +76,6 @@ def camera_of(
 
 
 def _kept(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix, read-only: the cache shares it."""
+    """Return the matrix, read-only, as the cache shares it."""
     matrix.setflags(write=False)
     return matrix

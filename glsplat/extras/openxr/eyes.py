@@ -1,4 +1,4 @@
-"""EyePass: the float layers of a pair into images of a headset's runtime, by one draw where the driver can."""
+"""EyePass: copies a stereo pair's float layers into the images of a headset's runtime, with one draw if possible."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _U, _I = ctypes.c_uint, ctypes.c_int
 
 @dataclass(frozen=True, slots=True)
 class EyeImages:
-    """GL textures that somebody else made: one array texture of two layers, or a plain one an eye."""
+    """The runtime's GL textures: one array texture of two layers, or a plain texture for each eye."""
 
     colour: tuple[int, ...]
     depth: tuple[int, ...] = ()  # as many, or none
@@ -33,7 +33,7 @@ class EyeImages:
 
 @dataclass(frozen=True, slots=True)
 class DepthRange:
-    """What a depth image means: z = near is 0, z = far is 1, as OpenGL's perspective has it in between."""
+    """Range of a depth image: z = near is 0, z = far is 1, with OpenGL's perspective between them."""
 
     near: float  # metres
     far: float
@@ -41,7 +41,7 @@ class DepthRange:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands around the avatar, as eyes.frag.glsl takes it; ``xr.room`` makes it. Each [2, ...], an eye a row."""
+    """Mirror and floor for eyes.frag.glsl, made by ``openxr.room``; arrays [2, ...] have a row for each eye."""
 
     glass_from_pixel: NDArray[np.float64]  # [2, 3, 3]
     floor_from_pixel: NDArray[np.float64]  # [2, 3, 3]
@@ -51,10 +51,10 @@ class Surroundings:
 
 
 class EyePass:
-    """Owns framebuffers around a runtime's images, which have to be forgotten before the images go."""
+    """Owns framebuffers of a runtime's images; call ``forget`` before these are destroyed."""
 
     def __init__(self, context: Context, linear: bool = False) -> None:
-        """``linear``: the images' format is no sRGB one, and what is written has to be light."""
+        """Create the pass; ``linear``: the images' format is not sRGB and takes linear light."""
         self._context, self._ctx, self._linear = context, context.ctx, linear
         function = gl_functions(self._ctx)
         self._gl: dict[str, Any] = {
@@ -78,11 +78,11 @@ class EyePass:
         depth: DepthRange | None = None,
         around: Surroundings | None = None,
     ) -> None:
-        """Fill all of ``images``, which have the target's size; a format of 8 bits rounds as resolve.frag.glsl does."""
+        """Fill ``images`` of the target's size; formats of 8 bits are rounded as by resolve.frag.glsl."""
         with self._context.entered("EyePass.run()"):
             views, height, width, _ = target.shape
             framebuffers = self._framebuffers_of(images)
-            eyes = views // len(framebuffers)  # of a draw
+            eyes = views // len(framebuffers)  # in a draw
             array = self._array(eyes, self._linear, bool(images.depth), target.lift is not None, around is not None)
             self._set(array.program, target, depth, around)
             array.program["corner"] = 0.0, 0.0, 1.0
@@ -92,7 +92,7 @@ class EyePass:
                     raise ContextError("images of depth need a picture with depth and the range of their numbers")
                 target.depth.use(UNITS["depth_sum"])
             self._ctx.enable_only(moderngl.DEPTH_TEST if images.depth else moderngl.NOTHING)
-            if images.depth:  # a test is needed for depths to be written at all
+            if images.depth:  # depths are written only with a depth test
                 self._gl["DepthFunc"](_ALWAYS)
                 self._gl["DepthMask"](1)
             try:
@@ -105,7 +105,7 @@ class EyePass:
                 if images.depth:
                     self._gl["DepthFunc"](_LEQUAL)
                 self._ctx.enable_only(moderngl.NOTHING)
-                self._context.scratch.use()  # what moderngl takes for bound is bound again, with its masks
+                self._context.scratch.use()  # bind again what moderngl believes is bound, with its masks
 
     def show(
         self,
@@ -115,9 +115,9 @@ class EyePass:
         around: Surroundings | None = None,
         eye: int = 0,
     ) -> None:
-        """One eye's picture, as its image has it, in a window of ``size`` pixels: all of it, as large as it fits.
+        """Draw one eye's picture into a window of ``size`` pixels, as large as it fits.
 
-        Nothing is filtered: where the window has fewer pixels, some are left out.
+        It is not filtered: a smaller window skips pixels.
         """
         with self._context.entered("EyePass.show()"):
             _, height, width, _ = target.shape
@@ -137,7 +137,7 @@ class EyePass:
             self._context.scratch.use()
 
     def forget(self) -> None:
-        """Delete the framebuffers: the images are about to go."""
+        """Delete the framebuffers, before their images are destroyed."""
         with self._context.entered("EyePass.forget()"):
             for framebuffers in self._framebuffers.values():
                 names = (_U * len(framebuffers))(*framebuffers)
@@ -172,7 +172,7 @@ class EyePass:
         set_uniforms(program, values)
 
     def _array(self, eyes: int, linear: bool, depth: bool, lifted: bool, room: bool) -> moderngl.VertexArray:
-        """The program of what is on show, compiled when it is first needed."""
+        """Return the vertex array of a variant, compiled on first use."""
         key = (eyes, int(linear), int(depth), int(lifted), int(room))
         if key not in self._arrays:
             flags = Variant(views=eyes).defines()
@@ -185,7 +185,7 @@ class EyePass:
         return self._arrays[key]
 
     def _framebuffers_of(self, images: EyeImages) -> tuple[int, ...]:
-        """One for both eyes where a draw can write both layers, else one an eye."""
+        """Return one framebuffer if a draw can write both layers, else one for each eye."""
         if images not in self._framebuffers:
             layered = len(images.colour) == 1
             if layered and self._context.vertex_layers:
@@ -213,5 +213,5 @@ class EyePass:
 
 
 def _columns(matrices: NDArray[np.float64]) -> Sequence[tuple[float, ...]]:
-    """As GLSL takes a mat3[2]: column by column."""
+    """Return the columns of a mat3[2] in GLSL's order."""
     return [tuple(matrix.T.ravel().tolist()) for matrix in matrices]

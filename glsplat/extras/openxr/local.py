@@ -1,4 +1,4 @@
-"""LocalShow: the wearer's avatar, solved and drawn here, into the runtime's own images."""
+"""LocalShow: solves and draws the wearer's avatar on this PC, into the runtime's images."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ class LocalShow:
         *,
         config: RenderConfig | None = None,
         background: tuple[float, float, float] | None = None,  # default: the scene's
-        scale: float = 1.0,  # of the size that the runtime recommends
-        depth: bool = True,  # submit depth where the runtime takes it
+        scale: float = 1.0,  # of the runtime's recommended size
+        depth: bool = True,  # submit depth if the runtime accepts it
         floor: bool = True,  # draw a floor in the dark
         transparent: bool = False,  # passthrough: the background shows the room
         calibration: Calibration | None = None,  # default: measure the wearer's size as they move
@@ -86,7 +86,7 @@ class LocalShow:
         self._around: Surroundings | None = None
         self.cameras: list[Camera] = []
         self.views: Sequence[ViewPose] = ()
-        self.copy_ms = 0.0  # of the last pair into the images
+        self.copy_ms = 0.0  # time to copy the last pair into the images
         config = replace(
             config or RenderConfig(), output="float32"
         )  # nothing is read back; copying to the images rounds
@@ -185,7 +185,7 @@ class LocalShow:
         self._renderer.release()
 
     def _show(self, place: Place) -> None:
-        """Load the scene of a view: seen from within, the avatar has no head."""
+        """Load the scene of a view; the own view has an avatar without head."""
         own = place.view == "own" and self._tracker is not None
         if own and self._own is None:
             self._headless()
@@ -204,7 +204,7 @@ class LocalShow:
         assert source is not None and is_rigged(source.content)
         try:
             content = source.content.without("head")
-        except GlsplatError:  # a rig without such a joint: it keeps its head
+        except GlsplatError:  # a rig without that joint keeps its head
             return
         kept = {name: getattr(source, name) for name in ("pose", "transform", "layers", "opacity", "visible", "name")}
         self._own_item = Item(content, **kept)

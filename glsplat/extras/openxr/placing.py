@@ -1,8 +1,7 @@
-"""Where the avatar is shown: in the mirror, facing its user, or as the user's own body.
+"""Place the avatar: in the mirror, facing its user, or as the user's own body.
 
-As the page has it (net/web/space/placing.js). The renderer draws the avatar where its user is. ``shown`` takes that
-room to the room as it is shown; an eye that looks at the shown room sees what inverse(shown) of it would see in the
-user's own.
+Twin of the page's net/web/space/placing.js. The renderer draws the avatar in its user's place. ``shown`` transforms
+the user's room to the shown room; an eye sees in the shown room what inverse(shown) of it would see in the user's.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from glsplat.arrays import F64
 
 ViewName = Literal["mirror", "facing", "own"]
 VIEWS: tuple[ViewName, ...] = ("mirror", "facing", "own")
-"""In the order in which a button goes through them."""
+"""Views in the order of the button."""
 
 MIRROR = {"distance": 1.2, "width": 1.1, "bottom": 0.05, "top": 2.05}
-"""Metres."""
+"""Mirror's distance from the user, width and heights, metres."""
 
 FACING = 1.8
 """Metres from the user to the avatar."""
@@ -27,29 +26,29 @@ FACING = 1.8
 
 @dataclass(frozen=True, eq=False)
 class Glass:
-    """An upright mirror: its foot on the floor, and the level unit vector that it looks along."""
+    """An upright mirror: its foot on the floor, and its level unit normal."""
 
     foot: F64  # [3]
     normal: F64  # [3]
 
     @property
     def right(self) -> F64:
-        """[3] unit, to the right as its user sees it."""
+        """Unit vector [3] to the right, as seen by its user."""
         return np.array([self.normal[2], 0.0, -self.normal[0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A view: it stays where it is until it is chosen again."""
+    """A view, which stays in place until it is chosen again."""
 
     view: ViewName
-    shown: F64  # [4, 4] the user's room to the room as it is shown
+    shown: F64  # [4, 4] the user's room to the shown room
     glass: Glass | None = None
-    whole: bool = False  # of a room with others: all that is in sight
+    whole: bool = False  # in a room with others: show all that is in sight
 
 
 def heading(head: F64) -> F64:
-    """[3] the level unit direction that a head [4, 4] looks in; 0, 0, -1 if it looks straight up or down."""
+    """Return the level unit direction [3] in which a head [4, 4] looks; (0, 0, -1) if that is undefined."""
     back, up = head[:3, 2], head[:3, 1]
     level = np.array([-back[0], 0.0, -back[2]])
     if np.hypot(level[0], level[2]) > 0.1:
@@ -62,9 +61,9 @@ def heading(head: F64) -> F64:
 
 
 def placing(view: ViewName, head: F64, room: bool = False) -> Place:
-    """A view for a user whose head is at ``head`` (room from head, [4, 4]).
+    """Return a view for a user whose head is at ``head`` (room from head, [4, 4]).
 
-    With others in a ``room`` there are the mirror and the own body.
+    With others in a ``room`` there are only the mirror and the own body.
     """
     if room:
         return replace(placing("mirror" if view == "mirror" else "own", head), whole=True)
@@ -77,14 +76,14 @@ def placing(view: ViewName, head: F64, room: bool = False) -> Place:
         return Place(view, shown, glass)
     if view == "facing":
         pivot = ground + FACING / 2 * ahead
-        shown[0, 0] = shown[2, 2] = -1.0  # half a turn about the vertical through it
+        shown[0, 0] = shown[2, 2] = -1.0  # half a turn about the vertical through the pivot
         shown[:3, 3] = 2 * pivot[0], 0.0, 2 * pivot[2]
     return Place(view, shown)
 
 
 def standing(head: F64) -> tuple[float, float, float, float]:
-    """x, z, and the y and w of a quaternion about the vertical: where a space has to be put for this head to be over
-    its origin, looking along +z (docs/protocol.md, 2.1)."""
+    """Return the pose of a space in which this head is over the origin and looks along +z: x, z, and y and w of its
+    quaternion (docs/protocol.md, 2.1)."""
     ahead = heading(head)
     yaw = np.arctan2(ahead[0], ahead[2])
     return float(head[0, 3]), float(head[2, 3]), float(np.sin(yaw / 2)), float(np.cos(yaw / 2))

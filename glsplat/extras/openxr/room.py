@@ -1,4 +1,4 @@
-"""What stands around the avatar as eyes.frag.glsl draws it: the mirror's plane and the floor, seen by each eye."""
+"""Mirror and floor around the avatar for eyes.frag.glsl, seen by each eye."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from glsplat.extras.openxr.placing import MIRROR, Place
 from glsplat.extras.openxr.runtime import ViewPose
 
 FRAME = 0.03  # metres around a mirror's glass
-FLOOR = (5.0, 6.0)  # metres: half of its side, and from the eye to where it is dark
+FLOOR = (5.0, 6.0)  # half of its side, and distance from the eye at which it is dark; metres
 
 _X, _Y, _Z = np.eye(3)
 
 
 def plane_from_pixel(eye: F64, K: F64, origin: F64, right: F64, up: F64, normal: F64) -> F64:
-    """[3, 3] pixel (x, y, 1) to (a, b, 1) times w: the point origin + a right + b up of a plane; w > 0 if it is ahead.
+    """Return [3, 3] from pixel (x, y, 1) to w (a, b, 1): a plane's point origin + a right + b up; w > 0 if ahead.
 
-    ``eye`` [4, 4] room from eye (OpenXR's axes); the rest [3], unit vectors.
+    ``eye`` [4, 4] room from eye (OpenXR's axes); ``origin`` [3]; ``right``, ``up``, ``normal`` [3] unit vectors.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     back = np.array([[1 / fx, 0, -cx / fx], [0, -1 / fy, cy / fy], [0, 0, -1.0]])  # pixel to a direction of the eye's
@@ -35,7 +35,7 @@ def plane_from_pixel(eye: F64, K: F64, origin: F64, right: F64, up: F64, normal:
 def surroundings(
     views: Sequence[ViewPose], size: tuple[int, int], place: Place, floor: bool = True
 ) -> Surroundings | None:
-    """The mirror of ``place`` and a floor at y = 0, or neither (None)."""
+    """Return the mirror of ``place`` and a floor at y = 0; None without either."""
     if place.glass is None and not floor:
         return None
     eyes = [matrix_of(view.pose) for view in views]

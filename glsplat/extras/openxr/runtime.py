@@ -1,4 +1,4 @@
-"""What a session and an OpenXR runtime exchange, in plain values: poses, fields of view, states, what is shown.
+"""Values exchanged by a session and an OpenXR runtime: poses, fields of view, states, layers.
 
 ``openxr.runtime`` fills them by pyopenxr. Sections are those of the OpenXR 1.1 specification. Poses are
 ``Transform``s in the session's space: y up, metres, the floor at y = 0; times are its nanoseconds.
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from glsplat.extras.openxr.openxr.swapchain import Swapchain
 
 Blend = Literal["opaque", "additive", "alpha"]
-"""XrEnvironmentBlendMode; alpha also where XR_FB_passthrough takes its place."""
+"""XrEnvironmentBlendMode; alpha also stands for XR_FB_passthrough."""
 
 
 class State(IntEnum):
@@ -37,7 +37,7 @@ class State(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Fov:
-    """XrFovf: angles in radians from the line of sight; left and down are negative, and any of them may differ."""
+    """XrFovf: angles from the line of sight, radians; left and down are negative, and all may differ."""
 
     left: float
     right: float
@@ -47,7 +47,7 @@ class Fov:
 
 @dataclass(frozen=True, slots=True)
 class ViewPose:
-    """XrView: pose and field of view of an eye; submitted with the picture that was drawn for it."""
+    """XrView: pose and field of view of an eye; submitted with its picture."""
 
     pose: Transform
     fov: Fov
@@ -77,7 +77,7 @@ Hands = tuple[tuple[Transform, ...] | None, tuple[Transform, ...] | None]
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """Tracked devices of the user at one time, unchecked; None where the runtime has none, or lost it."""
+    """Tracked devices of the user at one time, unchecked; None if the runtime has none, or lost it."""
 
     head: Transform | None = None
     grips: tuple[Transform | None, Transform | None] = (None, None)
@@ -89,15 +89,15 @@ class Devices:
     eyes_htc: Sequence[float] | None = None  # by XrEyeExpressionHTC
     lips_htc: Sequence[float] | None = None  # by XrLipExpressionHTC
     gaze: Transform | None = None  # of XR_EXT_eye_gaze_interaction, -z ahead
-    next_view: bool = False  # the button A or X is down
+    next_view: bool = False  # whether the button A or X is down
 
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """A projection layer (11.4): the newest picture in ``colour``, and the poses that it was drawn for."""
+    """A projection layer (11.4): the newest picture in ``colour``, and its poses."""
 
     views: Sequence[ViewPose]  # left first
-    colour: Sequence[Swapchain]  # one of two layers, or one an eye
+    colour: Sequence[Swapchain]  # one of two layers, or one for each eye
     depth: Sequence[Swapchain] = ()  # likewise, or none
     depth_range: DepthRange | None = None
-    transparent: bool = False  # what is behind shows by alpha; colours are premultiplied
+    transparent: bool = False  # blend by alpha; colours are premultiplied

@@ -1,4 +1,4 @@
-"""What a runtime tracks to the Sample that the tracker takes, as the page makes it of WebXR (track/xr-sample.js)."""
+"""Convert a runtime's devices to the tracker's Sample, as the page does for WebXR (track/xr-sample.js)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ GRASP = 0.25
 # XrBodyJointFB, and from 70 on XrFullBodyJointMETA (XR_META_body_tracking_full_body)
 _INDICES = (1, 2, 70, 71, 73, 76, 77, 78, 80, 83)
 BODY_INDEX: dict[str, int] = dict(zip(BODY_JOINTS, _INDICES, strict=True))
-"""Where the joints that are used stand."""
+"""Index of each joint that is used."""
 
 _WRIST, _THUMB_TIP, _INDEX_TIP = 1, 5, 10  # of XrHandJointEXT
-_PINCHED, _OPEN = 0.015, 0.03  # metres between their tips at which fingers meet, and part
+_PINCHED, _OPEN = 0.015, 0.03  # distance of finger tips that starts and ends a pinch, metres
 
 
 def sample_of(devices: Devices, t: float) -> Sample:
-    """The sample of one moment; ``t`` seconds. A tracked hand wins over the controller that it may hold."""
+    """Return the sample at ``t`` seconds. A tracked hand has priority over a controller."""
     fields: dict[str, Any] = {}
     for index, side in enumerate(("left", "right")):
         joints, grip = devices.hands[index], devices.grips[index]
@@ -47,13 +47,13 @@ def sample_of(devices: Devices, t: float) -> Sample:
 
 
 def pinched(joints: tuple[Transform, ...] | None, before: bool) -> bool:
-    """Whether thumb and index finger of a hand meet, if they met ``before``: they part later than they meet."""
+    """Return whether a hand pinches; a pinch that held ``before`` ends at a larger distance."""
     if joints is None:
         return False
     return dist(joints[_THUMB_TIP][:3], joints[_INDEX_TIP][:3]) < (_OPEN if before else _PINCHED)
 
 
 def _ahead(gaze: Transform, head: Transform) -> tuple[float, float, float]:
-    """Where the eyes look, in the head's axes; eye_gaze_interaction has one direction for both."""
+    """Return the gaze in the head's axes; eye_gaze_interaction has one direction for both eyes."""
     turn = mul(conj((head[6], *head[3:6])), (gaze[6], *gaze[3:6]))
     return rotate(turn, (0.0, 0.0, -1.0))

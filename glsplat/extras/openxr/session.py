@@ -20,7 +20,7 @@ from glsplat.net.flow import Backoff
 
 _IDLE = 0.02  # seconds between polls of a session that does not run
 _PATIENCE = 3.0  # seconds for the runtime to end the session after request_exit
-_MEASURED = 512  # frames
+_MEASURED = 512  # frames of the median overhead
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Show(Protocol):
 
 
 class Session:
-    """``while session.step(): ...`` until the runtime ends it, or ``quit()`` was called; then ``close()``."""
+    """A session: run ``while session.step(): ...``, until the runtime or ``quit()`` ends it, then ``close()``."""
 
     def __init__(
         self,
@@ -60,18 +60,18 @@ class Session:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Connects at once. Raises what ``connect`` raises: ContextError, one line."""
+        """Connect at once. Raises ContextError of ``connect``, one line."""
         self._connect, self._show, self._say = connect, show, say
         self.blend: Blend = blend
         self._clock, self._sleep = clock, sleep
         self.state: State = State.UNKNOWN
-        self.frames = 0  # ended so far, with or without a picture
-        self.rendered = 0  # of them, with one
+        self.frames = 0  # ended frames, with or without a picture
+        self.rendered = 0  # ended frames with a picture
         self.losses = 0  # lost runtimes
         self._running = False  # between xrBeginSession and xrEndSession
         self._quit: float | None = None  # deadline for leaving
         self._over = False
-        self._recentre: int | None = None  # the display time from which the space is another
+        self._recentre: int | None = None  # display time at which the space changes
         self._overheads: deque[float] = deque(maxlen=_MEASURED)
         self._backoff = Backoff()
         self._again = 0.0
@@ -155,7 +155,7 @@ class Session:
             self._overheads.append(self._clock() - shown.located - shown.drawing)
 
     def _blend(self, runtime: OpenXrRuntime) -> Blend:
-        """Return the chosen blend mode if the runtime has it: a new runtime may differ."""
+        """Return the chosen blend mode, or the runtime's first if it lacks that."""
         return self.blend if self.blend in runtime.blends or not runtime.blends else runtime.blends[0]
 
     def _listen(self, runtime: OpenXrRuntime) -> None:
@@ -177,7 +177,7 @@ class Session:
             elif event.state is State.EXITING:
                 self._over = True
 
-    # ------------------------------------------------------------------------------------------- come, go, come back
+    # -------------------------------------------------------------------------------------- connect, lose, reconnect
 
     def _open(self) -> None:
         runtime = self._connect()

@@ -1,4 +1,4 @@
-"""The pair's swapchains: one of two layers where the runtime has it, else one an eye; depth beside colour."""
+"""A stereo pair's swapchains: one of two layers if the runtime has it, else one for each eye; with optional depth."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from glsplat.gl.context import Context
 from glsplat.renderer.targets import Target
 
 SRGB8, RGBA16F, RGBA8 = 0x8C43, 0x881A, 0x8058
-"""GL formats of colour, the best first. Colours are sRGB already; for the last two they are converted to light."""
+"""GL formats of colour, best first. Colours are sRGB; for the last two they are converted to linear light."""
 
 DEPTHS = (0x8CAC, 0x81A6, 0x81A5)  # GL_DEPTH_COMPONENT32F, 24, 16
 
@@ -46,7 +46,7 @@ class EyeSwapchains:
             self._depth: Sequence[Swapchain] = ()
             if deep is not None:
                 self._depth = _made(runtime, deep, size, True, stack)
-                if len(self._depth) != len(self._colour):  # the pass writes both by one draw or by two
+                if len(self._depth) != len(self._colour):  # one draw has to write both
                     self._depth = ()
             self._pass = EyePass(context, linear=colour != SRGB8)
             stack.callback(self._pass.release)  # the framebuffers before the images
@@ -55,7 +55,7 @@ class EyeSwapchains:
 
     @property
     def depth(self) -> bool:
-        """Whether pictures need depths."""
+        """Whether pictures need depth."""
         return bool(self._depth)
 
     @property
@@ -100,7 +100,7 @@ class EyeSwapchains:
         around: Surroundings | None = None,
         eye: int = 0,
     ) -> None:
-        """Show in a window what ``fill`` draws for one eye."""
+        """Show one eye's picture in a window."""
         self._pass.show(target, framebuffer, size, around, eye)
 
     def projection(

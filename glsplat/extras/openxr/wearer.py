@@ -1,4 +1,4 @@
-"""Wearer: the state of a session's user: the view, gestures, and where they stand."""
+"""Wearer: the state of a session's user: view, gestures and standing place."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from glsplat.extras.openxr.runtime import Devices, FrameTiming
 from glsplat.extras.openxr.samples import pinched, sample_of
 from glsplat.tracking.sample import Sample
 
-_DOUBLE = 0.5  # seconds between two pinches of the left hand that go to the next view
+_DOUBLE = 0.5  # most seconds between two pinches of the left hand that select the next view
 _IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-_STALE = 2.0  # seconds without a frame after which the view is placed anew: the headset was off
+_STALE = 2.0  # seconds without a frame (the headset was off) after which the view is placed again
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Moment:
 
 
 class Wearer:
-    """Call ``look`` once a frame. ``room``: in a server's room with others (docs/protocol.md, 2.1)."""
+    """A session's user; call ``look`` once a frame. ``room``: a server's room with others (docs/protocol.md, 2.1)."""
 
     def __init__(
         self, view: ViewName = "mirror", room: bool = False, heard: Callable[[Sample], None] = lambda _: None
@@ -37,7 +37,7 @@ class Wearer:
         self._heard = heard  # receives every sample
         self._place: Place | None = None
         self._stood = not room
-        self._moved = False  # the space was moved to where they stood
+        self._moved = False  # whether the space was moved to the standing place
         self._pressed = self._pinching = False
         self._pinched = self._last = float("-inf")
 

@@ -48,8 +48,8 @@ def kept_certificate(folder: Path, names: Iterable[str]) -> StoredCertificate:
     """Return the certificate in ``folder`` for localhost and ``names`` (DNS names, ``*.lab.example``, addresses).
 
     It is made if it is missing, ends within 30 days, lacks a name or is damaged. Earlier addresses stay in it, so a
-    laptop that moves between two networks keeps one certificate. Raises GlsplatError for invalid names and for files
-    that cannot be read or written.
+    laptop that moves between two networks keeps one certificate. Raises GlsplatError for invalid names, and if files
+    cannot be read or written.
     """
     wanted = tuple(dict.fromkeys(_normalised(name) for name in (*_LOCAL_NAMES, *names)))
     path = folder / KEY

@@ -1,4 +1,4 @@
-"""The status page as plain HTML; web/status updates it where scripts run."""
+"""The status page as plain HTML; web/status updates it if scripts run."""
 
 from __future__ import annotations
 

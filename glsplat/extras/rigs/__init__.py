@@ -1,3 +1,3 @@
-"""Rigs of others: what their joints are called, which of the 55 joints of SMPL-X they are, and how they are driven."""
+"""Other programs' rigs: the names of their joints, their map to the 55 joints of SMPL-X, and how they are driven."""
 
 REQUIRES = ("formats",)

@@ -1,4 +1,4 @@
-"""Where the joints of a glTF file were when its skins were bound, and what its joints are called."""
+"""Bind frames and names of the joints of a glTF file."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from glsplat.formats.gltf.rig import inverse_binds
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Where the nodes of a file were."""
+    """Bind frames of a file's nodes."""
 
     frames: F64  # [N, 4, 4] of all nodes, in the space in which the first skin's vertices are stored
-    shown: F64  # [4, 4] the world from that space, as most joints have it
+    shown: F64  # [4, 4] the world from that space, as for most joints
 
 
 def bound_of(container: Container, graph: Graph, skins: Sequence[int]) -> Bound:
-    """Where all nodes were when the first skin was bound; without skins, where they rest."""
+    """Return the frames of all nodes when the first skin was bound; without skins, their rest frames."""
     world = graph.world
     if not skins:
         return Bound(world, np.eye(4))
@@ -32,7 +32,7 @@ def bound_of(container: Container, graph: Graph, skins: Sequence[int]) -> Bound:
         inverse = inverse_binds(container, skin)
         known = [k for k, node in enumerate(joints) if np.isfinite(frames[node]).all()]
         to_first = np.eye(4)
-        if place and known:  # another skin may be stored in another space; joints that both have tell which
+        if place and known:  # another skin may be stored in another space; shared joints give it
             to_first = frames[joints[known[0]]] @ inverse[known[0]]
         elif place:
             to_first = np.linalg.solve(shown, world[joints[0]] @ inverse[0])
@@ -41,7 +41,7 @@ def bound_of(container: Container, graph: Graph, skins: Sequence[int]) -> Bound:
                 frames[node] = to_first @ np.linalg.inv(inverse[k])
         if not place:
             shown = _usual(world[joints] @ inverse)
-    for node in graph.order:  # parents first: what no skin knows hangs where it rests
+    for node in graph.order:  # parents first: a node of no skin keeps its rest frame under its parent
         if not np.isfinite(frames[node]).all():
             parent = int(graph.parents[node])
             anchored = parent >= 0 and np.isfinite(frames[parent]).all()
@@ -51,18 +51,18 @@ def bound_of(container: Container, graph: Graph, skins: Sequence[int]) -> Bound:
 
 
 def _usual(placed: F64) -> F64:
-    """[4, 4] the one of [J, 4, 4] that is nearest to all: joints that hold nothing may be bound to anything."""
+    """Return the matrix [4, 4] of [J, 4, 4] that is nearest to all; joints without vertices may have any."""
     some = placed[:: max(1, len(placed) // 200)].reshape(-1, 16)
     apart = np.abs(some[:, None] - some[None]).sum(axis=(1, 2))
     return some[int(apart.argmin())].reshape(4, 4)
 
 
 def names_of_joints(container: Container, skins: Sequence[int], given: Mapping[str, int | None]) -> list[str]:
-    """Return the names of all nodes, "" for those that cannot be joints: a mesh called "Head" is none."""
+    """Return the names of all nodes, "" for those that cannot be joints, such as a mesh called "Head"."""
     gltf = container.gltf
     may = {node for skin in skins for node in gltf.skins[skin].joints} | {
         node for node in given.values() if node is not None
     }
-    if not skins:  # a doll of rigid parts: the nodes themselves are its joints
+    if not skins:  # a doll of rigid parts: its nodes are its joints
         may |= set(range(len(gltf.nodes)))
     return [node.name or "" if index in may else "" for index, node in enumerate(gltf.nodes)]

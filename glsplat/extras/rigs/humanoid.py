@@ -1,9 +1,9 @@
-"""The 55 joints of SMPL-X for a rig that has others: where they are in the T-pose, and how they lay when it was bound.
+"""The 55 joints of SMPL-X for another rig: their positions in the T-pose, and their frames when it was bound.
 
 The zero pose of SMPL-X is a T-pose; a rig rests in any pose (arms down, fingers bent). Each limb of the rig is turned
 until its bones point where those of the reference body do; trunk and head stay as they are, feet stay on their soles.
-Joints that a rig lacks are put where the reference body has them, in the rig's own proportions, and move what hangs
-from them as they do there. Poses, motions and tracking then mean the same on every rig.
+Joints that a rig lacks are placed as on the reference body, in the rig's proportions, and move the joints below them.
+So poses, motions and tracking have the same effect on every rig.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ _CHAINS = [
 ]
 _PALM = ("index1", "middle1", "ring1", "pinky1")
 _STANDING = 0.5  # cosine between trunk and legs; four-legged animals have less
-_ASTRIDE = 0.25  # of a thigh, how far the middle of the knees is from that of the hips, at least
+_ASTRIDE = 0.25  # least distance from the middle of the hips to that of the knees, in thighs
 _ASKEW = 0.924  # cosine of 22.5 degrees
-_AWAY = 0.5  # of the way from hips to shoulders: a pelvis farther away than that from the hips is none
-_FEW = 3  # knuckles that tell how a hand is turned
+_AWAY = 0.5  # of the way from hips to shoulders: a pelvis farther than that from the hips is ignored
+_FEW = 3  # fewest knuckles that give a hand's rotation
 
 
 @dataclass(frozen=True, eq=False)
 class Humanoid:
-    """A rig as SMPL-X has it."""
+    """A rig with SMPL-X's joints."""
 
     joints: F64  # [55, 3] metres, in the T-pose
-    frames: F64  # [55, 4, 4] of the same joints as the rig rests; in the T-pose all are parallel to the world
-    of: NDArray[np.intp]  # [J] which of the 55 each of the rig's joints moves with
+    frames: F64  # [55, 4, 4] of the same joints in the rig's rest pose; in the T-pose all are parallel to the world
+    of: NDArray[np.intp]  # [J] which of the 55 joints moves each of the rig's
 
 
 def upright(rig: RigMap, positions: ArrayLike) -> F64:
-    """[3, 3] the turn that makes y up, x the person's left and z their front: by right angles, as files have axes.
+    """Return the rotation [3, 3] that makes y up, x the person's left and z their front, by right angles.
 
-    Somebody who lies askew in the file's axes by more than 22.5 degrees is turned by what it takes.
+    A person whose up is more than 22.5 degrees from an axis of the file is turned by the exact angle.
     Raises PoseError for a rig whose trunk is not above its legs: an animal on four legs.
     """
     points = np.asarray(positions, np.float64)
@@ -67,7 +67,7 @@ def upright(rig: RigMap, positions: ArrayLike) -> F64:
     if size < 1e-12:
         raise PoseError("the rig has no size: hips, knees and shoulders coincide")
     thighs = [float(np.linalg.norm(at[f"{side}_hip"] - at[f"{side}_knee"])) for side in _SIDES]
-    if float(np.linalg.norm(legs)) < _ASTRIDE * np.mean(thighs):  # as Bandai-Namco's: what is left of them is rounding
+    if float(np.linalg.norm(legs)) < _ASTRIDE * np.mean(thighs):  # Bandai-Namco's: cosines would be of rounding errors
         raise PoseError("the legs point apart: this is not a standing person")
     if float(trunk @ legs) / size < _STANDING:
         raise PoseError("the trunk is not above the legs: this is not a standing person")
@@ -91,9 +91,9 @@ def humanoid(
     positions: ArrayLike,  # [J, 3] metres at rest, upright
     reference: ArrayLike,  # [55, 3] joints of a body in the T-pose, metres
 ) -> Humanoid:
-    """The 55 joints of a rig that has all of ``match.NEEDED``. Raises PoseError where it lacks one."""
+    """Return the 55 joints of a rig that has all of ``match.NEEDED``. Raises PoseError if one is missing."""
     if rig.missing:
-        raise PoseError(f"nobody can be driven without {', '.join(rig.missing)}; name them in a rig map")
+        raise PoseError(f"a rig cannot be driven without {', '.join(rig.missing)}; name them in a rig map")
     points, body = np.asarray(positions, np.float64), np.asarray(reference, np.float64)
     rest = {name: points[index] for name, index in rig.joints.items()}
     rest["pelvis"] = _pelvis(rest, body)
@@ -105,7 +105,7 @@ def humanoid(
         parent = int(PARENTS[index])
         if name in rest:
             frames[index, :3, 3] = rest[name]
-        else:  # hangs from its parent as it does in the T-pose
+        else:  # as in the T-pose, under its parent
             turn = frames[parent, :3, :3]
             frames[index, :3, 3] = frames[parent, :3, 3] + turn @ (joints[index] - joints[parent])
     return Humanoid(joints, frames, _moved_by(rig, np.asarray(parents, np.intp), points))
@@ -121,9 +121,9 @@ def reference_joints() -> F64:
 
 
 def _pelvis(rest: Mapping[str, F64], body: F64) -> F64:
-    """[3] where the body turns about: the rig's own joint, or between the hips if that one is far from them.
+    """Return the pelvis [3]: the rig's own joint, or a point between the hips if that is far from them.
 
-    Some rigs have it on the floor. Pelvis and hips are one piece, so any point of it will do.
+    Some rigs have it on the floor. Pelvis and hips are rigid, so any point of them will do.
     """
     hips, shoulders = ((rest[f"left_{part}"] + rest[f"right_{part}"]) / 2 for part in ("hip", "shoulder"))
     at = rest.get("pelvis", hips)
@@ -138,12 +138,12 @@ def seated(
     rig: RigMap,
     parents: ArrayLike,  # [J]
     bound: F64,  # [J, 4, 4] frames in which the skin was bound
-    shown: F64,  # [J, 4, 4] the same frames as a viewer shows them, which says how large they are
+    shown: F64,  # [J, 4, 4] the same frames as a viewer shows them, which have the size
     reference: ArrayLike,  # [55, 3]
     scale: float = 1.0,
 ) -> tuple[F64, Skeleton, NDArray[np.intp]]:
-    """The rig's skeleton as SMPL-X has it; before it [4, 4] upright metres from ``bound``'s space, after it [J] which
-    of the 55 each joint moves with."""
+    """Return upright metres from ``bound``'s space [4, 4], the rig's skeleton with SMPL-X's joints, and [J] which of
+    the 55 moves each joint."""
     nodes = list(rig.joints.values())
     sizes = [np.cbrt(np.abs(np.linalg.det(frames[nodes, :3, :3]))) for frames in (shown, bound)]
     turn = np.eye(4)
@@ -155,17 +155,17 @@ def seated(
 
 
 def t_pose_turns(
-    rest: Mapping[str, F64],  # SMPL-X joint -> [3] where the rig has it at rest, upright
+    rest: Mapping[str, F64],  # SMPL-X joint -> [3] the rig's position at rest, upright
     reference: F64,  # [55, 3] joints of a body in the T-pose, any unit
 ) -> dict[str, F64]:
-    """Each of the 55 joints -> [3, 3] how its bone turns from the rest pose to the T-pose, in the world."""
+    """Return 55 joints -> world rotation [3, 3] of the bone from the rest pose to the T-pose."""
     body = {name: reference[index] for name, index in _AT.items()}
     across = rest["left_hip"] - rest["right_hip"]
     whole = rotation_between(across * (1, 0, 1), np.array([1.0, 0.0, 0.0]))
     turns = {name: whole for name in JOINT_NAMES}
     for chain in _CHAINS:
         side = chain[0].split("_")[0]
-        if chain[0].endswith("1"):  # a finger begins as its hand is turned
+        if chain[0].endswith("1"):  # a finger starts with its hand's rotation
             for name in chain:
                 turns[name] = turns[f"{side}_wrist"]
         for name, toward in pairwise(chain):
@@ -183,7 +183,7 @@ def t_pose_turns(
 
 
 def _on_its_sole(rest: Mapping[str, F64], body: Mapping[str, F64], side: str, whole: F64) -> F64:
-    """[3, 3] of a foot: it points where the body's does and stays as level as it was."""
+    """Return a foot's rotation [3, 3]: it points where the body's foot does and stays as level as it was."""
     ankle, toe = f"{side}_ankle", f"{side}_foot"
     if ankle not in rest or toe not in rest:
         return whole
@@ -192,7 +192,7 @@ def _on_its_sole(rest: Mapping[str, F64], body: Mapping[str, F64], side: str, wh
 
 
 def _turn_hand(turns: dict[str, F64], rest: Mapping[str, F64], body: Mapping[str, F64], side: str) -> None:
-    """The palm faces down as the body's does. Half of what it turns about the forearm, the forearm turns too."""
+    """Turn the palm as the body's; the forearm takes half of the twist about its axis."""
     wrist, elbow = f"{side}_wrist", f"{side}_elbow"
     knuckles = [f"{side}_{name}" for name in _PALM if f"{side}_{name}" in rest]
     if wrist not in rest or len(knuckles) < _FEW:
@@ -209,11 +209,11 @@ def _turn_hand(turns: dict[str, F64], rest: Mapping[str, F64], body: Mapping[str
 
 
 def _t_pose(rest: Mapping[str, F64], turns: Mapping[str, F64], body: F64) -> F64:
-    """[55, 3] positions in the T-pose; parents come before children."""
+    """Return positions [55, 3] in the T-pose."""
     joints = np.zeros((len(JOINT_NAMES), 3))
     joints[0] = rest["pelvis"]
     size = _leg(rest) / _leg({name: body[_AT[name]] for name in JOINT_NAMES})
-    last = {"pelvis": "pelvis"}  # joint -> the nearest of the rig's own at or above it
+    last = {"pelvis": "pelvis"}  # joint -> the rig's nearest joint at or above it
     for index, name in enumerate(JOINT_NAMES[1:], 1):
         above = last[JOINT_NAMES[int(PARENTS[index])]]
         if name in rest:
@@ -225,7 +225,7 @@ def _t_pose(rest: Mapping[str, F64], turns: Mapping[str, F64], body: F64) -> F64
         offset = body[index] - body[_AT[above]]
         if below is None:
             joints[index] = joints[_AT[above]] + size * offset
-        else:  # between two of the rig's own, as far along as the body's is
+        else:  # between two of the rig's joints, as far along as on the body
             ours = body[_AT[below]] - body[_AT[above]]
             theirs = turns[above] @ (rest[below] - rest[above])
             share = float(offset @ ours) / max(float(ours @ ours), 1e-12)
@@ -234,7 +234,7 @@ def _t_pose(rest: Mapping[str, F64], turns: Mapping[str, F64], body: F64) -> F64
 
 
 def _below(name: str, rest: Mapping[str, F64]) -> str | None:
-    """The first of the rig's own joints that hangs from a joint in the middle of the body, or from a collar."""
+    """Return the rig's first joint below a joint of the spine or a collar; None if there is none."""
     chains = (
         ("spine1", "spine2", "spine3", "neck", "head"),
         *((f"{side}_collar", f"{side}_shoulder", f"{side}_elbow") for side in _SIDES),
@@ -246,7 +246,7 @@ def _below(name: str, rest: Mapping[str, F64]) -> str | None:
 
 
 def _moved_by(rig: RigMap, parents: NDArray[np.intp], points: F64) -> NDArray[np.intp]:
-    """[J] of the 55, for each of the rig's joints: itself, what it hangs from, what hangs from it, or the nearest."""
+    """Return [J] which of the 55 moves each joint: itself, an ancestor, a descendant, or the nearest."""
     mine = {index: _AT[name] for name, index in rig.joints.items()}
     below: dict[int, int] = {}
     for index in mine:
@@ -286,7 +286,7 @@ def _normal(rows: F64) -> F64:
 
 
 def _half_twist(turn: F64, along: F64) -> F64:
-    """[3, 3] half of the rotation about ``along`` that is in ``turn``."""
+    """Return half of the twist of ``turn`` about ``along`` as a rotation [3, 3]."""
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     angle = np.arctan2(float(axis @ along), 1.0 + float(np.trace(turn)))  # of the quaternion's twist, half the angle
     return rotation_matrices(along * angle)

@@ -1,4 +1,4 @@
-"""Which of a rig's joints is which of the 55 joints of SMPL-X: by what they are called, and by where they are."""
+"""Map a rig's joints to the 55 of SMPL-X, by their names and positions."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 _SIDES = ("left", "right")
 NEEDED = ("head", *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in _SIDES))
-"""Joints without which nobody can be driven; all others are placed where they would be."""
+"""Joints that a driven rig must have; any other that is missing is placed as on the reference body."""
 
 _LEG, _ARM = ("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist")
-_DEEPEST = 256  # joints from a fingertip to the root; bounds what a hostile file takes
+_DEEPEST = 256  # joints from a fingertip to the root; limits hostile files
 _PELVIS = 0.25  # of the way from hips to shoulders; a spine's lowest joint below it is the pelvis
-_ABOVE, _BELOW = 0.03, 1.1  # of that way: where a spine's joints are
-_PLACE = 1e-4  # of a rig's size: joints that are in one place
+_ABOVE, _BELOW = 0.03, 1.1  # of that way: range of a spine's joints
+_PLACE = 1e-4  # of a rig's size: joints closer than that coincide
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class RigMap:
 
     joints: Mapping[str, int]
     missing: tuple[str, ...]
-    """Of NEEDED: with any, the rig cannot be driven."""
+    """Missing joints of NEEDED; with any, the rig cannot be driven."""
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -47,11 +47,10 @@ def match_rig(
     names: Sequence[str],
     parents: ArrayLike,  # [J] -1 for a root
     positions: ArrayLike,  # [J, 3] at rest, in any unit and axes
-    given: Mapping[str, int | None]
-    | None = None,  # SMPL-X joint -> index, or None for "it has none"; these count first
-    holds: ArrayLike | None = None,  # [J] whether the joint moves vertices; of two alike that does which counts
+    given: Mapping[str, int | None] | None = None,  # SMPL-X joint -> index, None if the rig has none; has priority
+    holds: ArrayLike | None = None,  # [J] whether the joint moves vertices; such a joint is preferred to its copy
 ) -> RigMap:
-    """The map of a rig. What is ``given`` (a VRM's own map, a user's file) is taken as it is."""
+    """Return the map of a rig. Entries of ``given`` (a VRM's own map, a user's file) are not changed."""
     known = dict(given or {})
     unknown = sorted(set(known) - set(JOINT_NAMES))
     if unknown:
@@ -80,27 +79,27 @@ class _Rig:
     ) -> None:
         self.parents, self.positions = parents, positions
         words = words_of(names)
-        if any(word.deforms for word in words):  # Rigify: only these hold the skin, others have the same names
+        if any(word.deforms for word in words):  # Rigify: only these move the skin, others have the same names
             words = [word if word.deforms else Word(word.side, (), "", None, False) for word in words]
         self.words = words
         self.above = _Above(self.parents)
-        self.holds = holds.copy()  # itself, or what hangs from it
+        self.holds = holds.copy()  # itself or a descendant
         for index in np.flatnonzero(holds):
             at = int(parents[index])
             while at >= 0 and not self.holds[at]:
                 self.holds[at] = True
                 at = int(parents[at])
         moved = {(part, word.side) for i, word in enumerate(words) if self.holds[i] for part in word.parts}
-        for i, word in enumerate(words):  # a skeleton of controls beside that of the skin, under the same names
+        for i, word in enumerate(words):  # a skeleton of controls beside the skin's, under the same names
             if word.parts and not (self.holds[i] or holds[self.above[i]].any()):
                 words[i] = replace(word, parts=tuple(p for p in word.parts if (p, word.side) not in moved))
-        self.leads = np.zeros(len(names), bool)  # something hangs from it
+        self.leads = np.zeros(len(names), bool)  # has children
         self.leads[parents[parents >= 0]] = True
 
     def called(self, part: str, side: str = "") -> list[int]:
-        """Joints that may be this part, the best first: by the word, then the nearest to the root, then the big toe.
+        """Return candidates for a part, best first: by the word, then the nearest to the root, then the big toe.
 
-        A copy that moves nothing comes last (targets, controls); so does a hand that nothing hangs from.
+        A copy that moves no vertices (a target or control) comes last, as does a hand without children.
         """
         found = [i for i, word in enumerate(self.words) if part in word.parts and word.side == side]
         found = [i for i in found if not self._on_its_parent(i, found)]
@@ -115,7 +114,7 @@ class _Rig:
         )
 
     def _on_its_parent(self, joint: int, found: Sequence[int]) -> bool:
-        """Whether a joint lies on its own parent, to hold another of ``found`` by the same word (CMU's LHipJoint)."""
+        """Return whether a joint is at its parent, above another of ``found`` with its word (CMU's LHipJoint)."""
         parent, stem = int(self.parents[joint]), self.words[joint].stem
         if parent < 0 or not any(joint in self.above[i] and self.words[i].stem == stem for i in found):
             return False
@@ -123,12 +122,12 @@ class _Rig:
         return float(np.abs(self.positions[joint] - self.positions[parent]).max()) < _PLACE * size
 
     def stem(self, index: int | None) -> str:
-        """The word by which a joint is told; "" for None."""
+        """Return the word that identifies a joint; "" for None."""
         return "" if index is None else self.words[index].stem
 
 
 class _Above(dict[int, list[int]]):
-    """Joint -> all that it hangs from, the nearest first; of a chain that no body has, the first ones."""
+    """Joint -> its ancestors, the nearest first, at most ``_DEEPEST``."""
 
     def __init__(self, parents: NDArray[np.intp]) -> None:
         self._parents = parents
@@ -144,7 +143,7 @@ class _Above(dict[int, list[int]]):
 
 
 def _take(found: dict[str, int], known: Mapping[str, int | None], more: Mapping[str, int]) -> None:
-    """What is new: neither said before nor of a joint that is something else already."""
+    """Add entries whose part is not known and whose joint is not used yet."""
     used = set(found.values())
     for name, index in more.items():
         if name not in found and name not in known and index not in used:
@@ -153,10 +152,10 @@ def _take(found: dict[str, int], known: Mapping[str, int | None], more: Mapping[
 
 
 def _limbs(rig: _Rig, side: str) -> dict[str, int]:
-    """Leg, arm, collar and eye of a side."""
+    """Return the leg, arm, collar and eye of a side."""
     best = {part: cands[0] for part in (*_LEG, *_ARM) if (cands := rig.called(part, side))}
     feet = sorted(rig.called("ankle", side), key=lambda i: len(rig.above[i]))
-    if len(feet) > 1 and feet[0] in rig.above[feet[1]]:  # SMPL's "ankle" and "foot": the lower one is the toes
+    if len(feet) > 1 and feet[0] in rig.above[feet[1]]:  # SMPL's "ankle" and "foot": the lower is the toes
         best["ankle"] = feet[0]
         best.setdefault("foot", feet[1])
     for chain, stem in ((_LEG, "knee"), (_ARM, "shoulder")):  # "leg_joint_1", "leg_joint_2", ...: one word for all
@@ -166,7 +165,7 @@ def _limbs(rig: _Rig, side: str) -> dict[str, int]:
         if not {chain[0], chain[1]} <= set(best) and len(alike) >= 2:
             best |= {part: i for part, i in zip(chain, alike, strict=False) if part in chain[:2] or part not in best}
     _ambiguous(rig, side, best)
-    for chain in (_LEG, _ARM):  # of two people, or a skeleton and its copy: of the same
+    for chain in (_LEG, _ARM):  # with two people, or a skeleton and its copy, use one of them
         for upper, lower in pairwise(part for part in chain if part in best):
             below = [i for i in rig.called(lower, side) if best[upper] in rig.above[i]]
             if best[upper] not in rig.above[best[lower]] and below:
@@ -180,7 +179,7 @@ def _limbs(rig: _Rig, side: str) -> dict[str, int]:
 
 
 def _ambiguous(rig: _Rig, side: str, best: dict[str, int]) -> None:
-    """Words that mean one bone here and the next one there: what stands beside them tells."""
+    """Resolve words that mean different bones in different rigs by the rig's other words."""
     knees = [i for i in rig.called("knee", side) if rig.stem(i) == "knee" and best["knee"] in rig.above[i]]
     if knees and rig.stem(best["knee"]) == "leg" and rig.stem(best.get("hip")) in ("", "hip"):  # "Leg", "Knee"
         best["hip"], best["knee"] = best["knee"], knees[0]
@@ -196,9 +195,9 @@ def _ambiguous(rig: _Rig, side: str, best: dict[str, int]) -> None:
 
 
 def _middle(rig: _Rig, found: Mapping[str, int]) -> dict[str, int]:
-    """Pelvis, spine, neck, head and jaw."""
+    """Return pelvis, spine, neck, head and jaw."""
     if not {f"{side}_{part}" for side in _SIDES for part in ("hip", "shoulder")} <= set(found):
-        return {"head": named[0]} if (named := rig.called("head")) else {}  # so that it is not said to be missing
+        return {"head": named[0]} if (named := rig.called("head")) else {}  # or it would be reported missing
     hips, shoulders = (
         np.mean([rig.positions[found[f"{side}_{part}"]] for side in _SIDES], axis=0) for part in ("hip", "shoulder")
     )
@@ -224,13 +223,13 @@ def _middle(rig: _Rig, found: Mapping[str, int]) -> dict[str, int]:
             out["head"] = necks[-1]
     bears = {i for side in _SIDES for i in rig.above[found[f"{side}_shoulder"]]}
     high = [i for i in spine if height[i] > 1 and i not in bears]
-    if high and not heads and not necks:  # of Rigify: the spine goes on to the top of the head
+    if high and not heads and not necks:  # Rigify: the spine continues to the top of the head
         out |= {"neck": high[0], "head": high[-1]} if len(high) > 1 else {"head": high[0]}
     spine = [i for i in spine if i not in out.values()]
     if jaws := rig.called("jaw"):
         out["jaw"] = jaws[0]
     bones = [i for i in spine if _ABOVE < height[i] < _BELOW]
-    if not bones:  # nobody calls them anything: what leads from the arms to the pelvis
+    if not bones:  # without names: the joints from the arms to the pelvis
         way = rig.above[found["left_shoulder"]]
         limbs = set(found.values())
         way = way[: way.index(out["pelvis"])] if out["pelvis"] in way else way
@@ -239,7 +238,7 @@ def _middle(rig: _Rig, found: Mapping[str, int]) -> dict[str, int]:
 
 
 def spine_of(bones: Sequence[int]) -> dict[str, int]:
-    """SMPL-X's three of any number, from below. One alone turns as the chest does, two as its first and its last."""
+    """Map any number of bones, from below, to SMPL-X's three. One becomes the chest, two the first and the last."""
     if not bones:
         return {}
     if len(bones) == 1:
@@ -251,14 +250,14 @@ def spine_of(bones: Sequence[int]) -> dict[str, int]:
 
 
 def _common(rig: _Rig, joints: Sequence[int]) -> int:
-    """The nearest joint that all of them hang from; the first one's root where there is none."""
+    """Return the nearest common ancestor; without one, the first joint's root."""
     shared = set.intersection(*(set(rig.above[i]) for i in joints))
     way = rig.above[joints[0]]
     return next((i for i in way if i in shared), way[-1] if way else joints[0])
 
 
 def _fingers(rig: _Rig, side: str, found: Mapping[str, int]) -> dict[str, int]:
-    """Up to three bones a finger, from the palm outwards. On whose arm they are counts more than their names."""
+    """Return up to three bones a finger, from the palm outwards. Their arm decides the side, then their names."""
     out: dict[str, int] = {}
     arms = {
         s: {found[f"{s}_{part}"] for part in ("wrist", "elbow", "shoulder") if f"{s}_{part}" in found} for s in _SIDES
@@ -273,8 +272,8 @@ def _fingers(rig: _Rig, side: str, found: Mapping[str, int]) -> dict[str, int]:
                 bones.append(i)
         bones.sort(key=lambda i: (len(rig.above[i]), rig.words[i].number or 0))
         beyond = [i for i in bones if rig.words[i].number != 0]
-        bones = beyond if len(beyond) >= 3 else bones  # 0 is a bone within the palm
+        bones = beyond if len(beyond) >= 3 else bones  # 0 is a bone in the palm
         if len(bones) > 3 and [rig.words[i].number for i in bones[:2]] == [None, 1]:
-            bones.pop(0)  # without a number, before the first: within the palm
+            bones.pop(0)  # without a number, before the first: in the palm
         out |= {f"{side}_{finger}{place}": i for place, i in enumerate(bones[:3], 1)}
     return out

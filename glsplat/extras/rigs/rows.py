@@ -1,4 +1,4 @@
-"""Rows of the registry of formats: glTF and VRM of triangles, read and written beside glTF of splats."""
+"""Formats of the registry: glTF and VRM of triangles, beside glTF of splats."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from glsplat.scene import Content
 
 
 def add_formats(formats: dict[str, Format]) -> None:
-    """Let the rows of glTF read and write meshes, too."""
+    """Make the formats of glTF read and write meshes, too."""
     for name in ("glb", "gltf"):
         row = formats[name]
         save_mesh = partial(_save_mesh, embedded=name == "gltf")
@@ -28,7 +28,7 @@ def _read(start: Opened) -> Content:
     container = read_container(start.file, start.size, start.folder)
     if has_splats(container.gltf):
         return splats_in(container)
-    reader = plugin("rigs.meshes.reader")  # here: images need OpenCV
+    reader = plugin("rigs.meshes.reader")  # not at the top, as images need OpenCV
     if reader is None:
         raise FormatError(missing("formats", "a mesh's texture"))
     mesh: RiggedMesh = reader.mesh_of(container, Path(start.name).name)
@@ -36,6 +36,6 @@ def _read(start: Opened) -> Content:
 
 
 def _save_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool) -> None:
-    from glsplat.extras.rigs.meshes.write import save_gltf_mesh  # here: images need OpenCV
+    from glsplat.extras.rigs.meshes.write import save_gltf_mesh  # not at the top, as images need OpenCV
 
     save_gltf_mesh(mesh, target, embedded=embedded)

@@ -1,7 +1,7 @@
-"""Which joints are which where no name says so: two legs below, two arms above, a head between them.
+"""Identify joints by their positions: two legs below, two arms above, a head between them.
 
-Rigs that programs make by themselves call their joints bone_0, bone_1, ... A person who stands, upright and about
-symmetric, is told by where the joints are. Whether they face +z, as glTF asks for, the toes say, where there are any.
+Automatic rigs call their joints bone_0, bone_1, ... A standing, upright and nearly symmetric person is recognised by
+the joints' positions. The toes, if any, show whether the person faces +z, as glTF requires.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ Limb = tuple[int, int, int]
 
 _LONGEST = 24  # joints a limb
 _EVEN = 0.55  # of two bones of a limb: the shorter by the longer
-_PASSED = 0.9  # for each joint that is passed over, as a twist is
-_MIRRORED = 0.1  # of the height: how far a limb may be from the other's mirror image
-_LEGS, _ARMS = (0.3, 0.75), (0.15, 0.75)  # of the height: how long they are
+_PASSED = 0.9  # factor for each skipped joint, such as a twist
+_MIRRORED = 0.1  # of the height: largest distance of a limb from the other's mirror image
+_LEGS, _ARMS = (0.3, 0.75), (0.15, 0.75)  # of the height: range of their lengths
 
 
 def match_shape(parents: ArrayLike, positions: ArrayLike, joints: ArrayLike) -> dict[str, int]:
-    """SMPL-X joint -> index of what stands like a person, y up; empty for anything else.
+    """Return SMPL-X joint -> index for nodes that stand like a person, y up; empty for anything else.
 
-    Of N nodes, ``parents`` [N], ``positions`` [N, 3], ``joints`` [N] those that may be some.
+    Of N nodes, ``parents`` [N], ``positions`` [N, 3], ``joints`` [N] whether a node may be one.
     """
     return _Shape(np.asarray(parents, np.intp), np.asarray(positions, np.float64), np.asarray(joints, bool)).person()
 
@@ -78,7 +78,7 @@ class _Shape:
         return out | spine_of(self._between(pelvis, chest))
 
     def _pair(self, node: int, way: float, size: tuple[float, float]) -> tuple[float, int, Limb, Limb] | None:
-        """(length, node, left limb, right limb), of three joints each, that mirror each other; ``way`` < 0: down."""
+        """Return (length, node, left, right) of the longest mirrored limbs of three joints; ``way`` < 0: down."""
         limbs = [limb for child in self.children[node] if (limb := self._limb(child))]
         best = None
         for a, b in combinations(limbs, 2):
@@ -100,11 +100,11 @@ class _Shape:
         return best
 
     def _limb(self, first: int) -> Limb | None:
-        """Of a chain the three joints whose two bones are about as long, and long."""
+        """Return the three joints of a chain with the longest bones of about equal length."""
         chain = self._chain(first)
         fingers = [sum(bool(self.children[child]) for child in self.children[n]) for n in chain]
         hand = next((k for k, count in enumerate(fingers) if k > 1 and count > 2), len(chain))
-        chain = chain[: hand + 1]  # fingers are no part of it
+        chain = chain[: hand + 1]  # without fingers
         best, score = None, 0.0
         for triple in combinations(chain, 3):
             a, b = np.linalg.norm(np.diff(self.points[list(triple)], axis=0), axis=1)
@@ -115,7 +115,7 @@ class _Shape:
         return best
 
     def _chain(self, first: int) -> list[int]:
-        """From a joint outwards, always to where the farthest of what hangs from it is."""
+        """Return the chain from a joint outwards, always towards the farthest descendant."""
         out = [first]
         while self.children[out[-1]] and len(out) < _LONGEST:
             at = self.points[out[-1]]
@@ -131,12 +131,12 @@ class _Shape:
         return far
 
     def _above(self, node: int, pelvis: int) -> bool:
-        """Whether a joint is the pelvis or hangs from where it does, and is not below it."""
+        """Return whether a joint is above the pelvis."""
         up = float(self.points[node, 1] - self.points[pelvis, 1])
         return node != pelvis and up > 0.05 * self.height
 
     def _head(self, chest: int, taken: set[int]) -> list[int]:
-        """Neck and head: up to what eyes or hair hang from, or all but the tip."""
+        """Return neck and head: up to the joint of eyes or hair, or all but the tip."""
         middle = self.points[chest]
         best: list[int] = []
         for child in self.children[chest]:
@@ -152,7 +152,7 @@ class _Shape:
         return best[:-1] if len(best) > 2 else best
 
     def _between(self, pelvis: int, chest: int) -> Sequence[int]:
-        """What leads from the pelvis to the chest, from below."""
+        """Return the joints above the pelvis up to the chest, from below."""
         out: list[int] = []
         at = chest
         while at >= 0 and at != pelvis and len(out) < _LONGEST and self.points[at, 1] > self.points[pelvis, 1]:

@@ -1,4 +1,4 @@
-"""Why SMPL-X's motions do not move a rig of another program, for messages."""
+"""Explain why SMPL-X's motions do not move another program's rig, for messages."""
 
 from __future__ import annotations
 
@@ -32,5 +32,5 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return the start of a name, without characters that break the line or steer the terminal."""
+    """Return the start of a name, without characters that break the line or control the terminal."""
     return "".join(c if c.isprintable() else "?" for c in name[:24])

@@ -1,4 +1,4 @@
-"""VRM 0.x and 1.0, and VRM animations: which node is which bone of a human, as the file itself says."""
+"""VRM 0.x and 1.0, and VRM animations: the file's own map from bones of a human to nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SPINE = ("spine", "chest", "upperChest")
 
 
 def human_bones(gltf: Gltf) -> dict[str, int]:
-    """SMPL-X joint -> node; empty for a file that is no VRM. Raises FormatError for a malformed map."""
+    """Return SMPL-X joint -> node; empty for other files than VRM. Raises FormatError for a malformed map."""
     try:
         entries = _entries(gltf.extensions)
     except (AttributeError, KeyError, TypeError, ValueError):
@@ -33,7 +33,7 @@ def human_bones(gltf: Gltf) -> dict[str, int]:
     for side in ("left", "right"):
         out |= {f"{side}_{ours}": entries[side + theirs] for theirs, ours in _LIMBS.items() if side + theirs in entries}
         for theirs, ours in _FINGERS.items():
-            # 0.x calls a thumb's bones as those of the other fingers, 1.0 begins with its metacarpal
+            # 0.x names a thumb's bones as the other fingers', 1.0 starts with its metacarpal
             names = ("Metacarpal", "Proximal", "Intermediate", "Distal")
             bones = [entries[side + theirs + name] for name in names if side + theirs + name in entries]
             out |= {f"{side}_{ours}{place}": node for place, node in enumerate(bones[:3], 1)}
@@ -41,9 +41,9 @@ def human_bones(gltf: Gltf) -> dict[str, int]:
 
 
 def face_binds(gltf: Gltf) -> dict[str, list[tuple[int | None, int | None, int, float]]]:
-    """Expression -> (node, or mesh, number of the morph target, weight from 0 to 1) of each target it moves.
+    """Return expression -> (node, or mesh, number of the morph target, weight from 0 to 1) of each target it moves.
 
-    VRM 1.0 names nodes, VRM 0.x meshes. What is malformed is left out: nobody is lost without an expression.
+    VRM 1.0 names nodes, VRM 0.x meshes. A malformed list is ignored, as expressions are optional.
     """
     out: dict[str, list[tuple[int | None, int | None, int, float]]] = {}
     try:
@@ -62,7 +62,7 @@ def face_binds(gltf: Gltf) -> dict[str, list[tuple[int | None, int | None, int, 
 
 
 def _entries(extensions: dict[str, Any]) -> dict[str, int]:
-    """Bone -> node."""
+    """Return bone -> node."""
     for name in ("VRMC_vrm", "VRMC_vrm_animation"):
         if name in extensions:
             bones = extensions[name]["humanoid"]["humanBones"]

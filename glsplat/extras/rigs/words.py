@@ -1,7 +1,7 @@
-"""What a joint's name says: the side, the part of the body, and its number. The one table of names of all rigs.
+"""Parse a joint's name: side, part of the body and number. The only table of names, for all rigs.
 
-Names are read as words ("mixamorig:LeftHandThumb1", "DEF-upper_arm.L.001", "lThighBend", "J_Bip_R_LowerLeg" and
-"CC_Base_L_Calf" say so each in their own way), so that a rig of a family that nobody thought of is read as well.
+Names are split into words ("mixamorig:LeftHandThumb1", "DEF-upper_arm.L.001", "lThighBend", "J_Bip_R_LowerLeg",
+"CC_Base_L_Calf"), so that rigs of unknown families are parsed as well.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
-# part -> what is left of its names without side, number, prefix and blanks; the first that a rig has is the best
+# part -> its names without side, number, prefix and blanks, best first
 _PARTS: dict[str, tuple[str, ...]] = {
     "hip": ("thigh", "upleg", "upperleg", "thighbend", "legupper", "femur", "hip"),
     "knee": ("shin", "calf", "lowerleg", "lowleg", "leglower", "leg", "knee", "tibia"),
@@ -51,7 +51,7 @@ _RANK = {
 _PHALANX = {"proximal": 1, "intermediate": 2, "distal": 3}
 _SIDES = {"left": "left", "l": "left", "lft": "left", "lf": "left", "right": "right", "r": "right", "rgt": "right"}
 _SIDES |= {"rt": "right", "lt": "left"}
-# words that make a joint something else than the part they stand beside: a helper, a target, a tip
+# words that make a joint a helper, a target or a tip instead of the named part
 _HELPERS = {
     *("ik", "fk", "pole", "target", "ctrl", "control", "ctl", "controller", "orient", "helper", "twist", "roll"),
     *("mch", "org", "tweak", "vis", "end", "nub", "tip", "site", "top", "tracker", "slot", "socket", "attach", "prop"),
@@ -63,8 +63,8 @@ _HELPERS = {
 _PREFIXES = {"def", "bip", "bip01", "bip001", "biped", "bone", "jnt", "joint", "rig", "armature", "skeleton", "b", "j"}
 _PREFIXES |= {"cc", "base", "mixamorig", "valve", "valvebiped", "character", "c", "m", "sk", "jt", "bn", "root"}
 _PREFIXES |= {"actor", "avg", "stretch", "x", "bind", "deform", "dfm", "skin", "start"}
-_WHERE = {"upper", "lower", "middle", "mid", "low", "up"}  # of a spine or a neck: where on it
-_LIMBS = {"arm", "leg", "head", "hand", "foot", "face"}  # "arm left elbow": what the part belongs to
+_WHERE = {"upper", "lower", "middle", "mid", "low", "up"}  # position on a spine or a neck
+_LIMBS = {"arm", "leg", "head", "hand", "foot", "face"}  # the limb of a part: "arm left elbow"
 _PIECES = {"finger", "phalanx"}
 # MikuMikuDance; the longest first
 _JAPANESE = {
@@ -91,28 +91,28 @@ _JAPANESE = {
     },
 }
 _FOREIGN = re.compile("|".join(sorted(_JAPANESE, key=len, reverse=True)))
-_COPIES = re.compile(r"(thigh|knee|ankle) D$")  # of MikuMikuDance: the bone that holds the skin
-_ESCAPED = re.compile(r"FBXASC(\d{3})")  # Autodesk's way to write a character that FBX does not allow
+_COPIES = re.compile(r"(thigh|knee|ankle) D$")  # MikuMikuDance: the bone that moves the skin
+_ESCAPED = re.compile(r"FBXASC(\d{3})")  # Autodesk's escape of a character that FBX does not allow
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 
 @dataclass(frozen=True)
 class Word:
-    """What a name says."""
+    """A parsed name."""
 
     side: str  # "left", "right" or ""
-    parts: tuple[str, ...]  # what it may be, of _PARTS; empty for anything else
-    stem: str  # the word by which
-    number: int | None  # of a spine, a finger's bone
-    deforms: bool  # "DEF-": of a Rigify rig, the joint that holds the skin
+    parts: tuple[str, ...]  # candidates, keys of _PARTS; empty for anything else
+    stem: str  # the word that matched
+    number: int | None  # of a joint of the spine or a finger
+    deforms: bool  # "DEF-": a joint of Rigify that moves the skin
 
     def rank(self, part: str) -> int:
-        """How well the word fits the part; 0 is best."""
+        """Return the rank of the word for the part; 0 is best."""
         return _RANK.get((part, self.stem), 99)
 
 
 def words_of(names: Sequence[str]) -> list[Word]:
-    """Each name's word; what more than half of the names begin or end with says nothing ("Bob_LeftArm")."""
+    """Parse the names, without a word with which more than half of them begin or end ("Bob_LeftArm")."""
     split = [_split(name) for name in names]
     for end in (0, 0, -1):
         said = Counter(words[end] for words in split if len(words) > 1)
@@ -124,12 +124,12 @@ def words_of(names: Sequence[str]) -> list[Word]:
 
 
 def word_of(name: str) -> Word:
-    """Read one joint's name. A name that means nothing has no parts."""
+    """Parse one joint's name. An unknown name has no parts."""
     return _word(_split(name))
 
 
 def _means(word: str) -> bool:
-    """Whether a word that many names share may still be needed."""
+    """Return whether a word has a meaning and has to be kept."""
     return word in _KNOWN or word in _SIDES or word in _HELPERS or word in ("def", "bip", "finger")
 
 
@@ -149,7 +149,7 @@ def _word(words: Sequence[str]) -> Word:
     side, kept, number = "", [], None
     for place, word in enumerate(words):
         if word.isdigit():
-            number = int(word[:6]) if number is None else number  # what follows is an exporter's own ("_07")
+            number = int(word[:6]) if number is None else number  # later ones are an exporter's ("_07")
         elif word in _SIDES and not side and (len(word) > 2 or len(words) > 1):
             side = _SIDES[word]
         elif word in _PHALANX:
@@ -158,7 +158,7 @@ def _word(words: Sequence[str]) -> Word:
             number = "abc".index(word) + 1  # "index_01a": of one finger
         else:
             kept.append(word)
-    if "thumb" in kept and "metacarpal" in kept:  # of a thumb it is the first that moves
+    if "thumb" in kept and "metacarpal" in kept:  # a thumb's first moving bone
         kept.remove("metacarpal")
         number = 0
     helper = any(word in _HELPERS for word in kept)
@@ -186,7 +186,7 @@ def _word(words: Sequence[str]) -> Word:
 
 
 def _simplified(kept: Sequence[str]) -> str:
-    """Without words that only say more of the same: "head neck lower", "hand index phalanx", "spine middle"."""
+    """Join the words without redundant ones: "head neck lower", "hand index phalanx", "spine middle"."""
     words = [word for word in kept if word not in _PIECES]
     if len(words) > 1 and words[0] in _LIMBS and "".join(words) not in _KNOWN:
         words = words[1:]
@@ -198,7 +198,7 @@ def _simplified(kept: Sequence[str]) -> str:
 
 
 def _numbered_finger(digits: Sequence[str], biped: bool) -> tuple[str, int | None]:
-    """ "finger2-1" (MakeHuman: from the thumb, 1; then the bone) and "Finger11" (Biped: from the thumb, 0)."""
+    """Parse "finger2-1" (MakeHuman: finger from the thumb, 1; bone) and "Finger11" (Biped: from the thumb, 0)."""
     if not biped and len(digits) > 1 and digits[0] in ("1", "2", "3", "4", "5"):
         return FINGERS[int(digits[0]) - 1], int(digits[1][:6])
     if digits and len(digits[0]) <= 2 and digits[0][0] in "01234" and (biped or len(digits) == 1):

@@ -1,8 +1,8 @@
 """Idle face: gaze and blinks for a head whose eyes are not tracked.
 
-Without it an avatar stares past everybody and never blinks. Eyes fixate points of the world and make saccades between
-them; while the head turns, fixation holds (the vestibulo-ocular reflex), so a nod does not shake the gaze. Saccades
-have the sizes and durations measured on people in conversation (Lee, Badler & Badler, "Eyes Alive", SIGGRAPH 2002).
+Eyes fixate points of the world and make saccades between them; while the head turns, fixation holds (the
+vestibulo-ocular reflex), so a nod does not shake the gaze. Saccades have the sizes and durations measured on people in
+conversation (Lee, Badler & Badler, "Eyes Alive", SIGGRAPH 2002).
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ EYE_DISTANCE_M = 0.063
 FIXATION_S, FIXATION_SPREAD = 0.34, 0.5  # median, and standard deviation of its logarithm; 2.3 saccades per second
 MIN_FIXATION_S, MAX_FIXATION_S = 0.15, 2.0
 MAX_ECCENTRICITY = radians(22)  # of the eyes from straight ahead; beyond it the head has to turn
-FACE_ANGLE = radians(30)  # faces within it of straight ahead are looked at
+FACE_ANGLE = radians(30)  # largest angle from straight ahead to a fixated face
 AT_FACE = 0.75  # share of saccades to the face, from eye to eye to mouth; the others go beside it
 HEAD_LEAD = 0.3  # gaze beyond straight ahead, relative to the angle that the head has turned from the last point
-MIN_FACE_M, MAX_FACE_M = 0.25, 10.0  # nearer is the own head; farther away eyes do not meet
+MIN_FACE_M, MAX_FACE_M = 0.25, 10.0  # a nearer one is the own head; eyes do not meet farther away
 FEATURES: tuple[Vec, ...] = ((-0.03, 0.0, 0.0), (0.03, 0.0, 0.0), (0.0, -0.07, 0.0))  # metres from between the eyes
 VERTICAL = 0.5  # factor on vertical saccades, as most things of interest are at eye level
 BLINKS_HZ = 15 / 60
@@ -46,7 +46,7 @@ BLINK_GAP_S = 1.0  # least time between blinks
 BLINK_SHIFT = radians(30)  # larger saccades come with a blink
 CLOSING_S, CLOSED_S, OPENING_S = 0.08, 0.04, 0.16  # Trutoiu et al. 2011: lids fall faster than they rise
 LID_RANGE = radians(40)  # gaze at which ARKit's eyeLook shapes are full
-RESET_S = 1.0  # without a sample until everything starts anew
+RESET_S = 1.0  # time without a sample after which the state is reset
 
 
 class IdleFace:
@@ -78,9 +78,9 @@ class IdleFace:
     def fill(self, sample: Sample, faces: Sequence[Sequence[float]] = ()) -> Sample:
         """Return the sample with gaze and eyelids where it has none.
 
-        ``faces``: points [3] between the eyes of others and mirror images, in the sample's space. The one nearest to
-        straight ahead is looked at, up to 30 degrees aside and 0.25 to 10 m away. A sample without a head, or with its
-        own eyes and eyelids, is returned unchanged.
+        ``faces``: points [3] between the eyes of others and mirror images, in the sample's space. The eyes look at the
+        one nearest to straight ahead, up to 30 degrees aside and 0.25 to 10 m away. A sample without a head, or with
+        its own eyes and eyelids, is returned unchanged.
         """
         head = read_pose(sample.head, 1.0, 0.0, [])
         own = {known for name in sample.expression or () if (known := arkit_name(name)) is not None}

@@ -1,4 +1,4 @@
-"""Weights of ARKit's shapes from visemes: smoothed, the jaw by loudness, lips that close at once and open slowly.
+"""Weights of ARKit's shapes from visemes: smoothed, the jaw by loudness; lips close at once and open slowly.
 
 Twin: ``web/voice/mouth.js``.
 """

@@ -1,4 +1,4 @@
-"""Add sound to an MP4 that has pictures only: a second track, of FLAC, by FFmpeg (PyAV)."""
+"""Add sound to a silent MP4: a second track, of FLAC, by FFmpeg (PyAV)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _BLOCK = 4096  # samples of a frame of FLAC
 
 
 def add_sound(path: Path, sound: Sound) -> None:
-    """Add a track of 16 bits to the file; its pictures are copied as they are.
+    """Add a track of 16 bits to the file; its pictures are not recoded.
 
-    Raises FormatError if the file has no pictures, and OSError if it cannot be written; it then stays as it was.
+    Raises FormatError if the file has no pictures, and OSError if it cannot be written; both leave it unchanged.
     """
     partial = path.with_name(f"{path.name}.part")
     try:

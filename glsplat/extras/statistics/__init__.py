@@ -1,4 +1,4 @@
-"""Small statistics that several rooms need: ranks, the signed-rank test, corrections for several tests, bootstrap."""
+"""Statistics shared by several extras: ranks, the signed-rank test, corrections for multiple tests, bootstrap."""
 
 from glsplat.optional import require_package
 

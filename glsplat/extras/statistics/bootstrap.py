@@ -1,4 +1,4 @@
-"""Intervals by drawing participants again, with replacement."""
+"""Bootstrap confidence intervals over participants."""
 
 from __future__ import annotations
 

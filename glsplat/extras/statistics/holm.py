@@ -1,4 +1,4 @@
-"""p values of several tests, corrected."""
+"""Correct p values for multiple tests."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """p values corrected for being several (Holm 1979), in their order."""
+    """Return p values corrected for multiple tests (Holm 1979), in the order of ``p``."""
     corrected = [0.0] * len(p)
     worst = 0.0
     for place, index in enumerate(sorted(range(len(p)), key=lambda i: p[i])):

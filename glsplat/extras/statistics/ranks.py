@@ -1,7 +1,7 @@
 """Ranks with mean ranks for ties, Wilcoxon's signed-rank test and its effect size.
 
-scipy.stats.wilcoxon is not used: with ties and more than 13 differences it is the normal approximation, whose p was up
-to 0.06 off in 400 samples; trying all signs takes 2^N steps, the sums of ranks only N^3.
+scipy.stats.wilcoxon is not used: with ties and more than 13 differences it uses the normal approximation, whose p was
+up to 0.06 off in 400 samples. The exact distribution of the sums of ranks takes N^3 steps.
 """
 
 from __future__ import annotations
@@ -12,14 +12,11 @@ from scipy.stats import rankdata
 from glsplat.arrays import F64
 
 TIE = 1e-9
-"""Values that lie no farther apart than this share of the largest size are one value: sums round differently."""
+"""Values closer than this fraction of the largest magnitude are tied: equal sums may round differently."""
 
 
 def average_ranks(values: F64) -> F64:
-    """Return ranks from 1 along the last axis of [..., N], mean ranks for ties.
-
-    Values that differ by rounding alone (:data:`TIE`) are tied, because aligned values come from sums.
-    """
+    """Return ranks from 1 along the last axis of [..., N], mean ranks for ties (closer than :data:`TIE`)."""
     order = np.argsort(values, axis=-1, kind="stable")
     ordered = np.take_along_axis(values, order, -1)
     tolerance = TIE * np.abs(values).max(axis=-1, keepdims=True, initial=0.0)
@@ -37,7 +34,7 @@ def wilcoxon(differences: F64) -> float:
     ranks, signs = _ranked(differences)
     doubled = np.rint(2 * ranks).astype(int)  # mean ranks are halves at worst
     total = int(doubled.sum())
-    chance = np.zeros(total + 1)  # of each sum of the ranks that got a plus
+    chance = np.zeros(total + 1)  # probability of each doubled sum of positive ranks
     chance[0] = 1
     for rank in doubled:
         moved = np.zeros_like(chance)
@@ -48,13 +45,13 @@ def wilcoxon(differences: F64) -> float:
 
 
 def rank_biserial(differences: F64) -> float:
-    """The sum of the ranks with a plus less that with a minus, as a share of all; 0 where all differences are."""
+    """Return (positive - negative) / all, each a sum of ranks of differences [N]; 0 if all differences are 0."""
     ranks, signs = _ranked(differences)
     return float((ranks * signs).sum() / ranks.sum()) if len(ranks) else 0.0
 
 
 def _ranked(differences: F64) -> tuple[F64, F64]:
-    """Ranks of the sizes and signs of the differences that are not zero."""
+    """Return ranks of the magnitudes, and signs, of the non-zero differences."""
     sizes = np.abs(differences)
     some = differences[sizes > TIE * sizes.max(initial=0.0)]
     return average_ranks(np.abs(some)), np.sign(some)

@@ -45,7 +45,7 @@ class Factor:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What a participant sees and drives in one part of the session."""
+    """One condition of the design: the avatar with its view, light, latency and control."""
 
     name: str
     levels: Mapping[str, str]  # by within-subject factor
@@ -62,7 +62,7 @@ class Condition:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a participant does for ``seconds`` after reading or hearing ``text``."""
+    """A participant's activity for ``seconds`` after reading or hearing ``text``."""
 
     name: str
     text: str

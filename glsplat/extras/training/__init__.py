@@ -1,3 +1,3 @@
-"""How the network of ``learned`` is made: clips, what real tracking does to them, and the fit."""
+"""Training of the network of ``learned``: clips, tracking errors, and the fit."""
 
 REQUIRES = ("learned", "motions")

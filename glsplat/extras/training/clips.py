@@ -1,4 +1,4 @@
-"""Motions as training data: what a headset would see of them at the network's rate, and the truth it should guess."""
+"""Training data from motions: a headset's samples at the network's rate, and the ground truth."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from glsplat.motion.motion import Motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.solve.body import ANKLES, FEET, HEAD, KNEES, PELVIS, SPINE3, WRISTS, Body
 
-SPEEDS = (1.0, 0.87, 1.15)  # at which every motion is seen
-AWAY = 60.0  # degrees
+SPEEDS = (1.0, 0.87, 1.15)  # playback speeds of every motion
+AWAY = 60.0  # degrees of the head from the chest
 STILL = 0.55  # m/s below which the ball of a foot stands
 
 
 @dataclass(slots=True)
 class TrainingClip:
-    """One motion at RATE_HZ: what is seen, and the truth in the world."""
+    """One motion at RATE_HZ: the network's view of it, and the ground truth in the world."""
 
-    group: str  # whose it is
+    group: str  # the captured person
     seen: TrackedFrames
     points: F32  # [T, 7, 3] pelvis, knees, ankles, feet
     pelvis: F32  # [T, 3, 3]
     chest: F32  # [T, 3, 3]
     contact: F32  # [T, 2]
-    plain: bool = False  # as it was captured: neither mirrored nor at another speed
-    made: bool = False  # of parts of several captures (``standing.py``)
+    plain: bool = False  # as captured: neither mirrored nor at another speed
+    made: bool = False  # combined from several captures (``standing.py``)
 
 
 def clips_of(
     group: str, motion: Motion, skeleton: Skeleton, speeds: Sequence[float] = SPEEDS, made: bool = False
 ) -> list[TrainingClip]:
-    """The motion at several speeds, and each mirrored; one that is ``made`` of several only at its own."""
+    """Return the motion at several speeds, or its own if ``made``, each also mirrored."""
     out = []
     for speed in (1.0,) if made else speeds:
         if len(motion) / motion.fps / speed < 1:
@@ -61,14 +61,14 @@ def _clip(group: str, motion: Motion, skeleton: Skeleton, speed: float) -> Train
     )
     feet = p[:, list(FEET)]
     speed_of = np.linalg.norm(np.gradient(feet, axis=0), axis=-1) * RATE_HZ
-    contact = speed_of < STILL  # heights say little: captured floors and retargeted ankles are centimetres off
+    contact = speed_of < STILL  # not by height: captured floors and retargeted ankles are centimetres off
     points = p[:, [PELVIS, *KNEES, *ANKLES, *FEET]]
     of_points, pelvis, chest, stands = (a.astype(np.float32) for a in (points, f[:, PELVIS], f[:, SPINE3], contact))
     return TrainingClip(group, seen, of_points, pelvis, chest, stands)
 
 
 def mirrored(clip: TrainingClip) -> TrainingClip:
-    """Left and right exchanged: the world reflected in x."""
+    """Exchange left and right: reflect the world in x."""
     flip = np.array([-1, 1, 1], np.float32)
     turn = flip[:, None] * flip
     seen = clip.seen
@@ -91,13 +91,13 @@ def mirrored(clip: TrainingClip) -> TrainingClip:
 
 
 def looks_away(clip: TrainingClip) -> bool:
-    """Whether the head is turned off the chest by more than AWAY most of the time: a marker was lost, not a person."""
+    """Return whether the head is turned from the chest by more than AWAY most of the time: a marker was lost."""
     off = (clip.seen.yaw - yaw_of(clip.chest) + np.pi) % (2 * np.pi) - np.pi
     return bool(np.degrees(np.median(np.abs(off))) > AWAY)
 
 
 def targets_of(clip: TrainingClip, unit: float) -> F32:
-    """[T, OUTPUTS] that the network should say; contacts 0 or 1. The last moment repeats what is ahead."""
+    """Return the network's target outputs [T, OUTPUTS]; contacts are 0 or 1. The last tick repeats its own as next."""
     t, yaw = len(clip.points), clip.seen.yaw
     ground = clip.seen.eye * np.array([1, 0, 1], np.float32)
     points = in_yaw_frame(clip.points - ground[:, None], yaw)
@@ -113,5 +113,5 @@ def targets_of(clip: TrainingClip, unit: float) -> F32:
 
 
 def unit_of_skeleton(skeleton: Skeleton) -> float:
-    """Metres that count as one, for this body."""
+    """Return the network's unit of length for this body, metres."""
     return unit_of(Body.of(skeleton).eye_height)

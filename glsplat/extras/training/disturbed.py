@@ -1,6 +1,6 @@
-"""What real tracking does to what is seen: noise, lost hands, offsets of devices, calibrations a little off.
+"""Disturb a headset's samples as real tracking does: noise, lost hands, offsets of devices, calibration errors.
 
-And what people do whom nobody captured: they look about, where captured people look where they go.
+Users also look about, while captured people look where they go.
 """
 
 from __future__ import annotations
@@ -11,28 +11,28 @@ from numpy.typing import NDArray
 from glsplat.extras.learned.frames import TICK_S, TrackedFrames, yaw_of
 from glsplat.rotations import rotation_matrices
 
-HEIGHT = 0.02  # standard deviation of what a calibration's scale is off
-PITCH, SEAT = 3.0, 0.01  # degrees, metres: how a headset sits
-GRIP, TILT = 0.012, 5.0  # metres, degrees: a controller in a hand
-WHITE, SPIN = 0.0007, 0.15  # metres, degrees: noise of a moment
-CLEAN = 0.3  # share of sequences without any of it
-HEAD_ONLY, LOSES = 0.08, 0.3  # shares of sequences without hands, with hands lost at times
-LOSS = 0.7  # seconds, mean length
+HEIGHT = 0.02  # standard deviation of a calibration's scale
+PITCH, SEAT = 3.0, 0.01  # standard deviations of a headset's fit: degrees, metres
+GRIP, TILT = 0.012, 5.0  # standard deviations of a controller in a hand: metres, degrees
+WHITE, SPIN = 0.0007, 0.15  # white noise: metres, degrees
+CLEAN = 0.3  # share of sequences without these errors
+HEAD_ONLY, LOSES = 0.08, 0.3  # shares of sequences without hands, and with temporary losses of hands
+LOSS = 0.7  # mean length of a loss, seconds
 LOOKS = 0.5  # share of sequences in which the head looks elsewhere
-GAZE, MOST = (32.0, 14.0), (70.0, 35.0)  # degrees of yaw and pitch: standard deviation of a gaze, and its bound
-HELD, SHIFT = 1.6, 0.11  # seconds a gaze lasts, mean; of two low passes by which the head turns to the next one
-NECK = (0.0, -0.07, -0.08)  # from between the eyes to where the head turns, in its frame (of eyes at 1.6 m)
+GAZE, MOST = (32.0, 14.0), (70.0, 35.0)  # yaw and pitch of a gaze, degrees: standard deviations, limits
+HELD, SHIFT = 1.6, 0.11  # mean length of a gaze; time constant of the two low passes of a turn; seconds
+NECK = (0.0, -0.07, -0.08)  # from between the eyes to the head's pivot, in its frame (of eyes at 1.6 m)
 
 
 def disturbed(seen: TrackedFrames, rng: np.random.Generator) -> TrackedFrames:
-    """One sequence [T] as a device would see it; the truth stays as it is."""
+    """Return one sequence [T] as a device would track it; the ground truth does not change."""
     t = len(seen.yaw)
     eye, head, at, hand = (a.astype(np.float64) for a in (seen.eye, seen.head, seen.at, seen.hand))
     if rng.random() < LOOKS:
         eye, head = _elsewhere(eye, head, rng)
     if rng.random() >= CLEAN:
         scale = 1 + HEIGHT * rng.standard_normal()
-        # heights and reaches, not the room: the body stands where it stands
+        # scales height and reach, not the position in the room
         tall = eye * np.array([1, scale, 1])
         eye, at = tall, tall[:, None] + (at - eye[:, None]) * scale
         head = head @ _turn(rng, (PITCH, 0.5, 1.0), 1)[0]
@@ -63,7 +63,7 @@ def disturbed(seen: TrackedFrames, rng: np.random.Generator) -> TrackedFrames:
 def _elsewhere(
     eye: NDArray[np.float64], head: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Eyes and head that turn about the neck from gaze to gaze; the body does not know of it."""
+    """Turn eyes and head about the neck from gaze to gaze, independent of the body."""
     t = len(eye)
     goals = np.empty((t, 2))
     first = 0

@@ -1,4 +1,4 @@
-"""The fit itself: sequences drawn from a pool of disturbed clips, and a loss of distances. Seeded; numpy alone."""
+"""Fit the network to sequences from a pool of disturbed clips, with a loss of distances. Seeded; numpy alone."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from glsplat.extras.training.disturbed import disturbed
 from glsplat.extras.training.recurrent import Learner, started
 
 WEIGHTS = np.array((1.0, 1.0, 1.0, 1.3, 1.3, 1.3, 1.3), np.float32)  # of the points
-AHEAD, AXES, CONTACT, SMOOTH = 0.35, 0.25, 0.04, 1.0  # of the other parts of the loss
-BEGINS = 0.25  # of the sequences that begin with their clip, where nothing is remembered
-WARM, LEAST = 0.1, 0.04  # of the steps in which the rate rises, of its highest from which
+AHEAD, AXES, CONTACT, SMOOTH = 0.35, 0.25, 0.04, 1.0  # weights of the other parts of the loss
+BEGINS = 0.25  # share of sequences that start with their clip, with an empty memory
+WARM, LEAST = 0.1, 0.04  # share of the steps in which the rate rises; the share of its highest at which it starts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingConfig:
-    """What is fitted, and for how long."""
+    """Size of the network and settings of the fit."""
 
-    width: int = 128  # of the layer in front
+    width: int = 128  # of the first layer
     units: int = 320  # of the recurrent layer
     steps: int = 3200
     batch: int = 64
     length: int = 100  # ticks of a sequence
-    rate: float = 2e-3  # of learning, at its highest
+    rate: float = 2e-3  # highest learning rate
     seed: int = 0
 
 
-MADE = 0.35  # of the sequences that are of clips made of parts of several
-ALIKE = 0.5  # power of a group's hours by which it is drawn: 1 would draw every hour alike, 0 everybody
+MADE = 0.35  # share of sequences from combined clips
+ALIKE = 0.5  # power of a group's hours in its sampling weight: 1 weighs hours equally, 0 persons
 
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """A clip as a device would see it, and what the network should say of it."""
+    """A clip as a device would track it, and the network's target outputs."""
 
     clip: TrainingClip
     heard: F32  # [T, INPUTS]
@@ -50,7 +50,7 @@ class Lesson:
 
 
 def features(seen: TrackedFrames, unit: float) -> F32:
-    """[T, INPUTS] of moments [T] that begin with their first."""
+    """Return inputs [T, INPUTS] of a sequence [T] from its start."""
     t = len(seen.yaw)
     back = np.maximum(np.arange(t) - 1, 0)
     means = np.empty((t, 3, 2), np.float32)
@@ -62,7 +62,7 @@ def features(seen: TrackedFrames, unit: float) -> F32:
 
 
 def lessons_of(clips: Iterable[TrainingClip], unit: float, rng: np.random.Generator) -> list[Lesson]:
-    """Every clip disturbed, and those that are neither faster nor slower as they are, too."""
+    """Return every clip disturbed, and ``plain`` and ``made`` clips also undisturbed."""
     out = []
     for clip in clips:
         odd, truth = disturbed(clip.seen, rng), targets_of(clip, unit)
@@ -79,7 +79,7 @@ def fit(
     progress: Callable[[int, float], None] | None = None,
     note: str = "",
 ) -> PoseNetwork:
-    """The network that has learned the lessons. ``start``: one that goes on learning; its size is the network's."""
+    """Return the network fitted to the lessons. ``start``: continue from this network, with its size."""
     rng = np.random.default_rng(config.seed)
     some = np.concatenate([lesson.heard[::7] for lesson in lessons])
     mean, spread = some.mean(0), np.maximum(some.std(0), 0.05).astype(np.float32)
@@ -101,24 +101,24 @@ def fit(
             first = 0 if rng.random() < BEGINS else int(rng.integers(0, len(lesson.heard) - size + 1))
             x[:size, b] = (lesson.heard[first : first + size] - mean) / spread
             y[:size, b] = lesson.truth[first : first + size]
-            known[: size - 1, b] = 1  # what is ahead of the last moment is not known
+            known[: size - 1, b] = 1  # the last tick has no next one
         far, off = loss(learner.say(x, rng), y, known)
         learner.learn(learner.gradient(off), config.rate * _pace(step / config.steps))
         if progress:
             progress(step, far)
     out = learner.weights
-    front = (out["front"] / spread).astype(np.float32)  # normalising goes into the first layer
+    front = (out["front"] / spread).astype(np.float32)  # the first layer includes the normalisation
     out = out | {"front": front, "front_bias": (out["front_bias"] - front @ mean).astype(np.float32)}
     return PoseNetwork(**out, note=note)
 
 
 def _pace(done: float) -> float:
-    """Of the highest rate, with this share of the steps done: up linearly, down as a cosine (Smith & Topin 2019)."""
+    """Return the share of the highest rate after ``done`` of the steps: linear up, cosine down (Smith & Topin 2019)."""
     return LEAST + (1 - LEAST) * done / WARM if done < WARM else 0.5 + 0.5 * cos(pi * (done - WARM) / (1 - WARM))
 
 
 def shares_of(clips: Sequence[TrainingClip]) -> NDArray[np.float64]:
-    """How often each clip is drawn: by its length, its group's, and whether it is made of several; sum 1."""
+    """Return sampling probabilities of the clips, by their length, their group's, and whether they are ``made``."""
     sizes = np.array([len(clip.points) for clip in clips], np.float64)
     hours: dict[str, float] = {}
     for clip, size in zip(clips, sizes.tolist(), strict=True):
@@ -132,7 +132,7 @@ def shares_of(clips: Sequence[TrainingClip]) -> NDArray[np.float64]:
 
 
 def _seen_from(truth: F32, clean: TrackedFrames, odd: TrackedFrames, unit: float) -> F32:
-    """Targets in the frame of the clean head, in that of the disturbed one: devices are off, bodies are not."""
+    """Transform targets from the clean head's frame to the disturbed head's, as errors of devices move no body."""
     t = len(truth)
     turn = odd.yaw - clean.yaw
     shift = (odd.eye - clean.eye) * np.array([1, 0, 1], np.float32)
@@ -152,9 +152,9 @@ def _seen_from(truth: F32, clean: TrackedFrames, odd: TrackedFrames, unit: float
 
 
 def loss(said: F32, truth: F32, known: F32) -> tuple[float, F32]:
-    """Of [T, B, OUTPUTS], and its gradient in what was said; ``known`` [T, B]: 1 where the truth is known.
+    """Return the loss of outputs ``said`` [T, B, OUTPUTS], and its gradient; ``known`` [T, B]: 1 for known ``truth``.
 
-    Distances of the points, of those ahead, of axes and contacts, and of how the points' errors change in a tick.
+    It sums distances of points, of predicted points, of axes and contacts, and changes of the points' errors in a tick.
     """
     t, b, _ = said.shape
     share = known / known.sum()
@@ -185,7 +185,7 @@ def loss(said: F32, truth: F32, known: F32) -> tuple[float, F32]:
 
 
 def evaluate(network: PoseNetwork, lessons: Sequence[Lesson], unit: float) -> dict[str, float]:
-    """Mean distances in cm, point by point, by what the network alone says."""
+    """Return mean distances of the network's points, cm, and the share of correct contacts."""
     learner = Learner(network.weights())
     errors, right = [], []
     for lesson in lessons:

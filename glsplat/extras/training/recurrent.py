@@ -1,4 +1,4 @@
-"""The network while it learns: forward over sequences, backward through time, and a step of AdamW; numpy alone."""
+"""Train the network: forward over sequences, backward through time, and a step of AdamW; numpy alone."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from glsplat.extras.learned.network import ARRAYS
 
 Weights = dict[str, F32]
 
-DROP = 0.1  # of what the layers in front of and behind the memory say that is left out at random
-DECAY, CLIP = 0.02, 1.0  # of the weights a step of rate 1; the longest gradient
-MEAN, SQUARE = 0.9, 0.999  # running means of gradients and of their squares
+DROP = 0.1  # dropout before and after the recurrent layer
+DECAY, CLIP = 0.02, 1.0  # weight decay in a step of rate 1; largest norm of the gradient
+MEAN, SQUARE = 0.9, 0.999  # decay of the running means of gradients and of their squares
 
 
 def started(rng: np.random.Generator, inputs: int, width: int, units: int, outputs: int) -> Weights:
-    """Weights that have learned nothing, uniform within 1 / sqrt(fan in) (He et al. 2015); biases are 0."""
+    """Return initial weights, uniform within 1 / sqrt(fan in) (He et al. 2015); biases are 0."""
     shapes = ((width, inputs), (3 * units, width), (3 * units, units), (width, units), (outputs, width))
     out: Weights = {}
     for name, shape in zip(ARRAYS[::2], shapes, strict=True):
@@ -29,7 +29,7 @@ def started(rng: np.random.Generator, inputs: int, width: int, units: int, outpu
 
 @dataclass(slots=True)
 class Learner:
-    """Weights as in ``PoseNetwork``, and what AdamW (Loshchilov & Hutter 2019) remembers of their gradients."""
+    """Weights as in ``PoseNetwork``, with AdamW's running means (Loshchilov & Hutter 2019)."""
 
     weights: Weights
     means: Weights = field(default_factory=dict)
@@ -38,7 +38,7 @@ class Learner:
     _kept: tuple[F32, ...] = ()
 
     def say(self, x: F32, rng: np.random.Generator | None = None) -> F32:
-        """[T, B, OUTPUTS] from [T, B, INPUTS]; ``rng``: while it learns, for what is dropped."""
+        """Return outputs [T, B, OUTPUTS] for inputs [T, B, INPUTS]; ``rng`` enables dropout, for training."""
         w, (t, b, _) = self.weights, x.shape
         u = w["cell"].shape[1]
         front = np.maximum(x.reshape(t * b, -1) @ w["front"].T + w["front_bias"], 0)
@@ -66,7 +66,7 @@ class Learner:
         return np.asarray((skip @ w["back"].T + w["back_bias"]).reshape(t, b, -1), np.float32)
 
     def gradient(self, off: F32) -> Weights:
-        """Of the weights, where ``off`` [T, B, OUTPUTS] is that of what was said last."""
+        """Return the gradient of the weights for that of the last outputs, ``off`` [T, B, OUTPUTS]."""
         w = self.weights
         x, front, keep, heard, gates, held, new, states, keep_state, told, skip = self._kept
         t, b, u = new.shape
@@ -99,7 +99,7 @@ class Learner:
         return out
 
     def learn(self, gradient: Weights, rate: float) -> None:
-        """One step of AdamW against the gradient, whose length is clipped."""
+        """Take one step of AdamW against the gradient, whose norm is clipped."""
         length = sqrt(sum(float((g * g).sum()) for g in gradient.values()))
         clip = np.float32(min(1.0, CLIP / (length + 1e-6)))
         self.steps += 1
@@ -116,7 +116,7 @@ class Learner:
 
 
 def _kept(rng: np.random.Generator | None, like: F32) -> F32:
-    """What is not dropped, each as much more."""
+    """Return a dropout mask, scaled by 1 / (1 - DROP); 1 without ``rng``."""
     if rng is None:
         return np.ones((1, 1), np.float32)
     return np.asarray((rng.random(like.shape, np.float32) > DROP) / np.float32(1 - DROP), np.float32)

@@ -1,6 +1,6 @@
-"""Upper bodies of captured people on legs of those who stand: what users do most, and captures have least.
+"""Combine upper bodies of captured people with standing legs, which users need most and captures have least.
 
-Feet stay where they are; the pelvis goes the other way as the torso leans, so that all stays in balance, and sways.
+The feet do not move; the pelvis sways, and moves against the lean of the torso to keep balance.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from glsplat.tracking.solve.quat import Quat, Vec, add, inverse_mul, mul, power,
 
 Array = NDArray[np.float64]
 
-STILL = 0.12  # m/s of pelvis and feet below which somebody stands
-FLAT = 0.06  # metres a ball may be above where it rests
-TALL = 0.93  # of its height at rest that a standing pelvis has
+STILL = 0.12  # highest speed of pelvis and feet that stand, m/s
+FLAT = 0.06  # greatest height of a ball above its rest height, metres
+TALL = 0.93  # least height of a standing pelvis, of its height at rest
 EACH = 1.0  # seconds between stances of one motion
-UPRIGHT = 0.6  # vertical part of the up of pelvis and chest, nearly always
-LEANS = 0.35  # metres the chest is from above the pelvis at most, nearly always
-NEARLY = 2.0  # percent of a motion that may be otherwise
-HEADING = 0.5  # seconds over which a donor's heading is a mean; what is quicker is a twist of the torso
-BALANCE = 0.75  # of how far the chest leaves the pelvis that the pelvis goes the other way
-SINKS = 0.2  # metres a donor's crouch lowers the pelvis at most
+UPRIGHT = 0.6  # least vertical component of the up axes of pelvis and chest
+LEANS = 0.35  # greatest horizontal distance of the chest from the pelvis, metres
+NEARLY = 2.0  # percent of a motion that may exceed these two
+HEADING = 0.5  # smoothing of a donor's heading, seconds; faster turns are twists of the torso
+BALANCE = 0.75  # of the chest's lean that the pelvis moves the other way
+SINKS = 0.2  # most metres that a donor's crouch lowers the pelvis
 SWAY, SHIFT = (0.012, 0.8), (0.03, 3.0)  # metres and seconds of two random sways over the feet
 REACH = 0.995  # of its length that a standing leg has at most
-TILT = 0.6  # of the donor's pelvis' tilt that the pelvis has
+TILT = 0.6  # of the donor's pelvis tilt that is kept
 
 
 @dataclass(slots=True)
 class Stance:
-    """How somebody stands: places from below the pelvis, ahead is +z, the ground at y = 0."""
+    """A standing pose; the origin is on the ground (y = 0) below the pelvis, +z is ahead."""
 
     height: float  # of the pelvis, metres
     balls: tuple[Vec, Vec]
@@ -50,7 +50,7 @@ class Stance:
 
 
 def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
-    """The moments of a motion in which both feet and the pelvis are still, EACH apart at least."""
+    """Return the stances of a motion in which feet and pelvis are still, at least EACH apart."""
     truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, RATE_HZ)
     body = Body.of(skeleton)
     at, frames = truth.positions, truth.frames
@@ -89,7 +89,7 @@ def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
 
 
 def stood(motion: Motion, stances: Sequence[Stance], skeleton: Skeleton, rng: np.random.Generator) -> Motion | None:
-    """The motion's upper body on one of the stances, at RATE_HZ; None for one that would fall, or is too short."""
+    """Return the motion's upper body on a random stance, at RATE_HZ; None if it would fall, or is too short."""
     truth = truth_from_motion(skeleton, motion.rotations, motion.trans, motion.fps, RATE_HZ)
     at, frames = truth.positions, truth.frames
     off = at[:, SPINE3] - at[:, PELVIS]
@@ -115,7 +115,7 @@ def stood(motion: Motion, stances: Sequence[Stance], skeleton: Skeleton, rng: np
 
 
 def _places(stance: Stance, off: Array, height: Array, rng: np.random.Generator) -> Array:
-    """Of the pelvis, [T, 3]: over the feet, where the chest is ``off`` it."""
+    """Return positions [T, 3] of the pelvis over the feet; the chest is at ``off`` from it."""
     t = len(off)
     place = np.zeros((t, 3))
     leans = off - np.array(stance.chest)
@@ -128,7 +128,7 @@ def _places(stance: Stance, off: Array, height: Array, rng: np.random.Generator)
 
 
 def _legs(body: Body, stance: Stance, place: Array, pelvis: Array) -> dict[int, Array]:
-    """Local rotations [T, 4] of hips, knees and ankles of feet that stand; the pelvis sinks to where both reach."""
+    """Return local rotations [T, 4] of hips, knees and ankles; lower the pelvis until both feet reach the ground."""
     legs, feet = (Leg(body, 0), Leg(body, 1)), (Foot(0), Foot(1))
     for foot, ball, yaw in zip(feet, stance.balls, stance.yaws, strict=True):
         foot.plant(ball, yaw)
@@ -151,7 +151,7 @@ def _legs(body: Body, stance: Stance, place: Array, pelvis: Array) -> dict[int, 
 
 
 def _slowly(values: Array, seconds: float) -> Array:
-    """Means over a Gaussian of this standard deviation, along the first axis; ends are held."""
+    """Smooth along the first axis by a Gaussian of this standard deviation; ends are repeated."""
     reach = int(3 * seconds * RATE_HZ) + 1
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (seconds * RATE_HZ)) ** 2)
     weights /= weights.sum()

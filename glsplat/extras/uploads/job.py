@@ -12,7 +12,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 
 VIEWS = ("front", "back", "left", "right")
-"""Sides of a person that pictures may show; the first is required."""
+"""Sides of a person in pictures; the first is required."""
 
 MAX_STEPS = 40
 """Steps, and findings, reported of a job."""
@@ -20,10 +20,10 @@ MAX_LINE = 300
 """Characters of a reported line."""
 
 Finding = tuple[str, str, str]
-"""A problem of a picture: the side of the person that it shows, a code for programs, a line for people."""
+"""A problem of a picture: the side of the person, a code for programs, a line for people."""
 
 Progress = Callable[[str, float], None]
-"""Called with the name of the current step and the share of it that is done, 0 to 1."""
+"""Called with the name of the current step and its finished share, 0 to 1."""
 
 
 class LowConfidenceError(GlsplatError):
@@ -49,7 +49,7 @@ class Order:
 
 
 Make = Callable[[Order, Progress], Avatar]
-"""Picklable function that makes an avatar in a process of its own. Raises LowConfidenceError or GlsplatError."""
+"""Picklable function that makes an avatar in its own process. Raises LowConfidenceError or GlsplatError."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,12 +67,12 @@ class UploadConfig:
     avatar_bytes: int = 100_000_000
     waiting: int = 2  # jobs beside the one in work, including those still receiving pictures
     per_address: int = 2  # jobs of one address ...
-    senders: int = 1  # ... and those of them still receiving pictures
+    senders: int = 1  # ... of which still receive pictures
     make_timeout: float = 600.0
     receive_timeout: float = 120.0  # of all pictures
     rate: float = 4000.0  # bytes per second that a sender has to reach
     stall: float = 10.0  # that a sender may fall behind ``rate``, also at the start
-    resume_timeout: float = 120.0  # that a refused job's process waits for the client to insist
+    resume_timeout: float = 120.0  # for which a refused job's process waits for the client to insist
     nice: int = 10  # of the process that makes avatars
 
 
@@ -94,7 +94,7 @@ class Job:
     findings: tuple[Finding, ...] = ()  # reasons of a refusal
     notes: tuple[Finding, ...] = ()  # guesses made for a finished avatar
     ended: float | None = None  # time.monotonic()
-    goes_on: bool = False  # it failed and its process can resume
+    goes_on: bool = False  # whether it failed and its process can resume
     cancelled: bool = False
 
     def progress(self, step: str, share: float) -> None:

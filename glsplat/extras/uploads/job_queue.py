@@ -16,8 +16,8 @@ from glsplat.extras.uploads.job import Job, LowConfidenceError, Order, UploadCon
 from glsplat.extras.uploads.upload_store import UploadStore
 from glsplat.extras.uploads.work import Maker, MakerFaultError, UploadCancelledError
 
-_KEEP_ENDED_S = 600.0  # that an ended job can be queried
-_MAX_ENDED = 64  # jobs
+_KEEP_ENDED_S = 600.0  # for which an ended job can be queried
+_MAX_ENDED = 64  # jobs that can be queried
 _RETRY_S = 20
 
 log: logging.Logger = logging.getLogger("glsplat.net")

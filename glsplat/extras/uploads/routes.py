@@ -109,7 +109,7 @@ class Uploads(Feature):
         return _not_found() if job is None else _answer(self._status(job))
 
     async def _anyway(self, request: web.Request) -> web.Response:
-        """Resume a refused job. Whoever knows its name has ordered it, as names are in no list."""
+        """Resume a refused job. Its name, which no list contains, proves who ordered it."""
         job = self._job(request)
         if job is None:
             return _not_found()
@@ -124,7 +124,7 @@ class Uploads(Feature):
         if not self.store.made_here(name):
             return web.Response(status=403, text="only avatars that were made here can be deleted\n")
         job = self._job(request)
-        # a job decides who owns an avatar; without one the avatar's consent record does
+        # the owner is that of the job, or without one that of the avatar's consent record
         may = self._queue.find(name) is None and self._gate.rights.may_delete(user_of(request), name)
         if job is None and not may:
             return web.Response(status=404, text=_NO_AVATAR)

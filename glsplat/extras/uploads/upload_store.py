@@ -27,7 +27,7 @@ class NoRoomError(GlsplatError):
 
 
 class UploadStore:
-    """``folder`` with at most ``max_avatars`` avatars of ``max_bytes`` in all. The server chooses the names."""
+    """A folder of at most ``max_avatars`` avatars and ``max_bytes`` in all. The server chooses the names."""
 
     def __init__(self, folder: Path, max_avatars: int, max_bytes: int) -> None:
         self.folder, self._max_avatars, self._max_bytes = folder, max_avatars, max_bytes
@@ -47,7 +47,7 @@ class UploadStore:
         for path in self._paths():
             try:
                 if not (path.stem.isprintable() and path.stem.strip() == path.stem and len(path.stem) <= MAX_NAME):
-                    raise FormatError(f"{path}: its name cannot stand in an address")
+                    raise FormatError(f"{path}: its name cannot be part of a URL")
                 found[path.stem] = _avatar(load_content(path), str(path))
             except GlsplatError as error:
                 log.warning("skipped: %s", error)

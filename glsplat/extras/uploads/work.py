@@ -1,7 +1,7 @@
-"""The process that makes one avatar. It returns JSON and a .glb file, nothing that could be executed.
+"""The process that makes one avatar. It returns JSON and a .glb file, nothing executable.
 
-It decodes strangers' files, so it shares nothing with the server and may crash, hang or be killed at any time. It
-writes no file; the pictures are in its memory only.
+It decodes untrusted files, so it shares nothing with the server and may crash, hang or be killed at any time. It
+writes no file; the pictures are only in its memory.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ class _Message(msgspec.Struct):
 
 
 class Maker:
-    """Makes one avatar in a process of its own, which has ended when ``make`` or ``go_on`` returns or raises.
+    """Makes one avatar in its own process, which has ended when ``make`` or ``go_on`` returns or raises.
 
-    Exception: while ``waits`` is true, the process holds refused pictures; ``go_on`` makes an avatar of them, ``close``
-    ends the process.
+    Only while ``waits`` is true, the process holds refused pictures; ``go_on`` makes an avatar of them, ``close`` ends
+    the process.
     """
 
     def __init__(self, config: UploadConfig) -> None:
@@ -103,7 +103,7 @@ class Maker:
         return self._result(self._pipe, process, order, progress)
 
     def go_on(self, progress: Progress) -> bytes:
-        """Return what ``make`` returns, resuming the process that waits."""
+        """Resume the waiting process; return and raise as ``make``."""
         pipe, process = self._pipe, self._process
         if not self.waits or pipe is None or process is None:
             raise UploadCancelledError

@@ -32,7 +32,7 @@ class Payload:
 
 
 def _tables() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Return each state's two predecessors [states, 2], and the signs sent on the way from them [states, 2, 4].
+    """Return each state's two predecessors [states, 2], and the signs sent in the transitions [states, 2, 4].
 
     The newest bit is the top bit of a state.
     """

@@ -3,7 +3,7 @@
 Ray places, starts and ends the actors. Pictures go from the actor's own socket to the gateway, because a call of an
 actor takes 1.5 ms and copies its result through the object store.
 
-Ray's driver runs in a separate process, because it ends with Ray's head. The gateway goes on: the actors serve its
+Ray's driver runs in a separate process, because it ends with Ray's head. The gateway continues: the actors serve its
 clients without the head. They are detached from the driver and end with the gateway's connection.
 """
 
@@ -34,22 +34,22 @@ Address = tuple[str, int]
 
 _HOST = re.compile(r"[\w.-]+:\d+")  # HOST:PORT of a Ray head
 
-_ROOM_S = 60.0  # for Ray to find room for an actor and start its process
-_DRIVER_S = 30.0  # beyond that, for the driver's answer
-_END_S = 3.0  # for the driver to end
-_UNACKNOWLEDGED_MS = 2000  # for the other machine's kernel to acknowledge data
+_ROOM_S = 60.0  # time-out of Ray's placement and start of an actor
+_DRIVER_S = 30.0  # further time-out of the driver's answer
+_END_S = 3.0  # time-out of the driver's end
+_UNACKNOWLEDGED_MS = 2000  # time-out of the other machine's acknowledgements (TCP)
 
 
 def require_ray() -> None:
-    """Raise GlsplatError where Ray is not installed."""
+    """Raise GlsplatError if Ray is not installed."""
     require_package("work on a cluster", "ray", "ray", "leave Ray out; every machine of the cluster needs it")
 
 
 class RayCluster:
-    """A Ray cluster with workers that run what ``make()`` returns.
+    """A Ray cluster whose workers run the backend of ``make()``.
 
-    ``address`` as for ``ray.init``: None is the cluster that RAY_ADDRESS or this machine names, else one is started
-    here. ``cpus`` and ``gpus`` are the share of a node for one actor.
+    ``address`` is that of ``ray.init``: None is the cluster of RAY_ADDRESS or of this machine, else a new one on this
+    machine. ``cpus`` and ``gpus`` are the share of a node for one actor.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class RayLauncher:
         try:
             connection = socket.create_connection(address, GREETING_S)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            if hasattr(socket, "TCP_USER_TIMEOUT"):  # a machine that is gone does not close its sockets
+            if hasattr(socket, "TCP_USER_TIMEOUT"):  # a lost machine does not close its sockets
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
             key = greet(connection, self._cluster.secret, worker=False)
         except (EOFError, OSError) as error:

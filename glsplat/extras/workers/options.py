@@ -1,4 +1,4 @@
-"""The options of a gateway's workers."""
+"""Options of a gateway's workers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from glsplat.extras.workers.pool import WorkerPool
 from glsplat.net.backend import Backend
 from glsplat.net.worker.process import ProcessLauncher
 
-_HEADLESS_S = 120.0  # that a gateway without workers waits for Ray to come back
+_HEADLESS_S = 120.0  # for which a gateway without workers waits for Ray to return
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +26,7 @@ class Workers:
     def pool(
         self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float, video: bool = False
     ) -> WorkerPool:
-        """Return a pool whose workers run ``makes`` in turn; Ray's all run the first. The rest as for WorkerPool.
+        """Return a pool whose workers run ``makes`` in turn; Ray's all run the first. The rest is as for WorkerPool.
 
         Raises GlsplatError if Ray is not installed or cannot be reached.
         """

@@ -48,7 +48,7 @@ class WorkerPool:
         video: bool = False,
     ) -> None:
         if not launchers:
-            raise GlsplatError("a pool needs a worker at least")
+            raise GlsplatError("a pool needs at least one worker")
         self.clock: Callable[[], float] = clock
         self.stages: StageTimes = StageTimes()
         self.faults: FaultTracker = FaultTracker()
@@ -59,7 +59,7 @@ class WorkerPool:
             RemoteWorker(launcher, seconds, partial(self._is_alone, index)) for index, launcher in enumerate(launchers)
         ]
         self._render_loops = [RenderLoop(worker, clock, rate, owner=self) for worker in self._workers]
-        self._clients: dict[int, tuple[ClientStream, RenderLoop | None]] = {}  # None: waits for a worker
+        self._clients: dict[int, tuple[ClientStream, RenderLoop | None]] = {}  # None: waiting for a worker
         self._refused: dict[tuple[RenderLoop, str], float] = {}  # avatars that cannot be loaded, until clock seconds
         self._last_lost = 0.0  # clock seconds
         self._over: asyncio.Future[None]
@@ -72,7 +72,7 @@ class WorkerPool:
 
     @property
     def healthy(self) -> bool:
-        """False once no render loop is healthy."""
+        """Whether any render loop is healthy."""
         return any(render_loop.healthy for render_loop in self._render_loops)
 
     @property
@@ -148,7 +148,7 @@ class WorkerPool:
         ]
 
     def restart(self) -> asyncio.Task[None]:
-        """Restart the workers one by one while the others draw for their clients. A running restart goes on."""
+        """Restart the workers one by one while the others draw for their clients. A running restart continues."""
         if self._restarting is None or self._restarting.done():
             self._restarting = asyncio.create_task(self._restart(), name="rolling restart")
         return self._restarting
@@ -162,7 +162,7 @@ class WorkerPool:
                 self._move(client)
             while not (render_loop.empty or render_loop.living):
                 await asyncio.sleep(0.01)
-            if not render_loop.living:  # else it was lost and started anew meanwhile
+            if not render_loop.living:  # else it was lost and restarted meanwhile
                 render_loop.renew()
             while not render_loop.living:
                 await asyncio.sleep(0.05)
@@ -252,7 +252,7 @@ class WorkerPool:
         render_loop.release(client, arrive)
 
     def _balance(self) -> None:
-        """Move clients from busy to idle workers, where it helps enough."""
+        """Move clients from busy to idle workers if it helps enough."""
         living = [render_loop for render_loop in self._render_loops if render_loop.living]
         for _ in range(_MAX_MOVES):
             found = better([self._state(render_loop) for render_loop in living])

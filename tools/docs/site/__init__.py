@@ -1,1 +1,1 @@
-"""What mkdocs.yml needs to make a site of docs/: pages of the root and of the API, docstrings as Markdown."""
+"""Extensions for mkdocs.yml: pages of the root and of the API, docstrings as Markdown."""

@@ -1,4 +1,4 @@
-"""What MkDocs calls while it builds (mkdocs.yml, ``hooks``): pages that are not files of docs/, and links out of it."""
+"""Hooks of MkDocs (mkdocs.yml, ``hooks``): pages that are not files of docs/, and links out of it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from mkdocs.structure.files import File, Files
 from tools.docs.site.public import ROOT, api_pages
 
 AT_ROOT = {"readme.md": "README.md", "changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
-"""Files beside docs/ that are pages of the site, too."""
+"""Files outside docs/ that are pages of the site."""
 SHIM = "assets/javascripts/iframe-worker.js"
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 
 
 def on_config(config: Any) -> Any:
-    """Put the API's pages, which are no files, into the navigation, below their index."""
+    """Add the generated pages of the API to the navigation, below their index."""
     first, *others = api_pages()
     for part in config.nav:
         for entries in part.values():
@@ -29,7 +29,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages of the root and of the API, and what search needs where a page is opened as a file."""
+    """Add the pages of the root and of the API, and a script that search needs for pages opened as files."""
     for address, name in AT_ROOT.items():
         text = (ROOT / name).read_text(encoding="utf-8")
         files.append(File.generated(config, address, content=_LINK.sub(_from_root, text)))
@@ -41,7 +41,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
-    """Have the links that lead out of docs/ lead to the page of the site that stands for it, or say where it is."""
+    """Replace links out of docs/ by the site's own page, or by the path in the repository."""
     if page.file.src_uri in AT_ROOT or page.file.src_uri.startswith("api/"):
         return markdown
     up = "../" * page.file.src_uri.count("/")
@@ -55,7 +55,7 @@ def _from_root(link: re.Match[str]) -> str:
 
 
 def _from_docs(link: re.Match[str], up: str) -> str:
-    """``up`` leads from the page's folder to docs/."""
+    """Return the replacement of a link; ``up`` leads from the page's folder to docs/."""
     target, mark, anchor = link[2].partition("#")
     if not target.startswith(f"{up}../"):
         return link[0]

@@ -1,4 +1,4 @@
-"""The public names of glsplat, read from its source: nothing is imported, so that a site builds without OpenGL."""
+"""Read the public names of glsplat from its source, without imports, so that a site builds without OpenGL."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def public_modules() -> Iterator[tuple[str, Path]]:
-    """Each package with an ``__all__``, and each module right in glsplat/, by name: (name, file)."""
+    """Yield (name, file) of each package and each module directly in glsplat/ that has an ``__all__``."""
     for path in sorted((ROOT / "glsplat").rglob("*.py")):
         inner = path.relative_to(ROOT).with_suffix("").parts
         if path.name != "__init__.py" and len(inner) > 2:
@@ -20,7 +20,7 @@ def public_modules() -> Iterator[tuple[str, Path]]:
 
 
 def listed(path: Path) -> list[str]:
-    """Return the names of a file's ``__all__``, or of its stub; none where it has neither."""
+    """Return the names of a file's stub or ``__all__``; [] if it has neither."""
     if (stub := path.with_suffix(".pyi")).exists():
         body = ast.parse(stub.read_text(encoding="utf-8")).body
         return sorted(alias.name for node in body if isinstance(node, ast.ImportFrom) for alias in node.names)
@@ -31,7 +31,7 @@ def listed(path: Path) -> list[str]:
 
 
 def homes(module: str, path: Path) -> dict[str, str]:
-    """Where each public name of a module is defined: ``{"Avatar": "glsplat.avatar.Avatar"}``."""
+    """Return the definition of each public name of a module: ``{"Avatar": "glsplat.avatar.Avatar"}``."""
     source = stub if (stub := path.with_suffix(".pyi")).exists() else path
     tree = ast.parse(source.read_text(encoding="utf-8"))
     found = {}
@@ -44,10 +44,10 @@ def homes(module: str, path: Path) -> dict[str, str]:
 
 
 def api_page(module: str, path: Path, elsewhere: dict[str, str]) -> str:
-    """The page of one module, for mkdocstrings: its docstring, then each name of its ``__all__``.
+    """Return the page of one module for mkdocstrings: its docstring, then each name of its ``__all__``.
 
-    ``elsewhere`` has the page of each name that is explained already: a name is explained once, and linked from then
-    on. What is explained here is added to it.
+    Each name is explained on one page and linked from others: ``elsewhere`` has the page of each name, and this page's
+    are added.
     """
     example = f"    import {module}\n" if module == "glsplat" else f"    from {module} import {listed(path)[0]}\n"
     lines = [f"# {module}", "", example, f"::: {module}", "    options:", "      members: []"]
@@ -62,7 +62,7 @@ def api_page(module: str, path: Path, elsewhere: dict[str, str]) -> str:
 
 
 def api_pages() -> dict[str, str]:
-    """The API's pages by their address within the site, the index first."""
+    """Return the API's pages by their address within the site, the index first."""
     modules = list(public_modules())
     rows = [f"| [`{name}`]({name}.md) | {summary(path)} |" for name, path in modules]
     index = [
@@ -86,6 +86,6 @@ def api_pages() -> dict[str, str]:
 
 
 def summary(path: Path) -> str:
-    """The first line of a module's docstring, safe within a table."""
+    """Return the first paragraph of a module's docstring, escaped for a table."""
     said = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return said.partition("\n\n")[0].replace("\n", " ").replace("``", "`").replace("|", "\\|")

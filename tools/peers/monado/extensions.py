@@ -1,6 +1,6 @@
-"""Trackers that Monado lacks, as pyopenxr's own structures carry them: the runtime's C functions are ours here.
+"""Test trackers that Monado lacks through pyopenxr's own structures, with fake C functions of a runtime.
 
-Run within the chroot by test_monado.py; prints what was read as JSON.
+Run within the chroot by test_monado.py; prints the values that were read as JSON.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def floats(address: Any, count: int) -> Any:
 
 
 def function(_: Any, name: str) -> Any:
-    """What a runtime would do, by the layouts of openxr.h."""
+    """Return a fake of a runtime's function, by the layouts of openxr.h."""
 
     def call(*arguments: Any) -> None:
         CALLS.append(name)
@@ -89,7 +89,7 @@ def main() -> dict[str, Any]:
 
 
 def passthrough() -> dict[str, Any]:
-    """The layers of a frame over what the headset's cameras see."""
+    """Return the layers of a frame over the picture of the headset's cameras."""
     asked: list[Any] = []
     xr.create_passthrough_fb = lambda session, info: asked.append(info) or xr.PassthroughFB()
     xr.create_passthrough_layer_fb = lambda session, info: asked.append(info) or xr.PassthroughLayerFB()
@@ -113,7 +113,7 @@ def passthrough() -> dict[str, Any]:
     runtime._space, runtime._made, runtime.extensions = xr.Space(), None, frozenset({DEPTH})
     runtime._see_through()
     chain = SimpleNamespace(size=(8, 6), handle=xr.Swapchain())
-    for shift in (0.0, 1.0):  # the second frame has the first one's structures, and poses of its own
+    for shift in (0.0, 1.0):  # the second frame reuses the first one's structures with other poses
         views = [
             ViewPose((shift + x, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0), Fov(-0.5 - x, 0.5, 0.5, -0.5)) for x in (0.0, 0.25)
         ]

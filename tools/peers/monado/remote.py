@@ -14,7 +14,7 @@ Quat = tuple[float, float, float, float]  # xyzw
 
 @dataclass(frozen=True)
 class Script:
-    """What Monado is told; angles in radians (left, right, up, down), eyes in the head's axes."""
+    """Values for Monado; angles in radians (left, right, up, down), eyes in the head's axes."""
 
     head: tuple[Quat, Vec] = ((0.0, 0.0, 0.0, 1.0), (0.0, 1.6, 0.0))
     fovs: tuple[tuple[float, float, float, float], ...] = ((-0.94, 0.7, 0.73, -0.96), (-0.7, 0.94, 0.73, -0.96))
@@ -42,7 +42,7 @@ def _pose(quat: Quat, place: Vec) -> bytes:
 
 
 class Sender:
-    """Says the script 90 times a second; connects anew when the service is another one."""
+    """Sends the script 90 times per second; reconnects when the service restarts."""
 
     def __init__(self, port: int = 4242) -> None:
         self.script = Script()

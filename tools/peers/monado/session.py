@@ -1,4 +1,4 @@
-"""One scenario against Monado itself, within the chroot, by test_monado.py; prints what came of it as JSON."""
+"""Run one scenario against Monado, within the chroot, for test_monado.py; print the results as JSON."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tools.peers.monado.remote import Script, Sender
 
 VALIDATION = "XR_APILAYER_LUNARG_core_validation"
 RECORD = Path("/tmp/validation.txt")
-TURNED = (0.04, 0.3, -0.02, 0.9529)  # a head that looks left, and a little down and aside; not of unit length
+TURNED = (0.04, 0.3, -0.02, 0.9529)  # looks left, a little down and aside; not of unit length
 
 
 class Service:
@@ -53,7 +53,7 @@ class Service:
 
 
 def windowed(stack: ExitStack) -> Context:
-    """The context of a hidden window on a virtual screen: GLX."""
+    """Return the GLX context of a hidden window on a virtual screen."""
     from apps.preview.window import Window
 
     read, write = os.pipe()
@@ -68,14 +68,14 @@ def windowed(stack: ExitStack) -> Context:
 
 
 def frames(session: Session, count: int, seconds: float = 240) -> None:
-    """So many more with a picture."""
+    """Step the session until ``count`` more frames were rendered."""
     until, limit = session.rendered + count, time.monotonic() + seconds
     while session.rendered < until and session.step():
         assert time.monotonic() < limit, f"{session.rendered} of {until} frames"
 
 
 def reader(ctx: Any) -> Any:
-    """[2, H, W, 4] bytes of an array texture, or [2, H, W] floats of a depth; row 0 first as it is stored."""
+    """Return a function that reads an array texture as bytes [2, H, W, 4] or depth [2, H, W], row 0 first."""
     function = gl_functions(ctx)
     bind = function("BindTexture", None, ctypes.c_uint, ctypes.c_uint)
     get = function("GetTexImage", None, *[ctypes.c_uint] * 2, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p)
@@ -150,7 +150,7 @@ def main(scenario: str) -> dict[str, Any]:
 
 
 def pictures(session: Session, show: LocalShow, sender: Sender, heard: list[Any], read: Any) -> dict[str, Any]:
-    """Images before they are given back, against Renderer.render of a renderer that knows nothing of OpenXR."""
+    """Compare images before their release to OpenXR with those of a plain Renderer, and samples with the script."""
     config = RenderConfig(output="uint8")
     differing, most, joints, deeper, finger = [], 0.0, 0, 0.0, 0.0
     raw = Fingers(session.runtime)
@@ -177,7 +177,7 @@ def pictures(session: Session, show: LocalShow, sender: Sender, heard: list[Any]
             curls=((k / 5,) * 5, (1 - k / 5, 0.5, 0.2, 0.9, 0.0)),
         )
         sender.script = script
-        frames(session, 12)  # until predictions stand still
+        frames(session, 12)  # until predictions settle
         sample = heard[-1]
         quat = np.array(script.head[0]) / np.linalg.norm(script.head[0])
         most = max(most, float(np.abs(np.array(sample.head) - [*script.head[1], *quat]).max()))
@@ -208,7 +208,7 @@ def pictures(session: Session, show: LocalShow, sender: Sender, heard: list[Any]
 
 
 class Fingers:
-    """The 26 joints of each hand, asked for once more and by hand: pyopenxr's structures, no code of ours."""
+    """The 26 joints of each hand, located by pyopenxr's structures alone."""
 
     def __init__(self, runtime: Any) -> None:
         self._xr, self._space = runtime._xr, runtime._space

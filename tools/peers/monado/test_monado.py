@@ -1,7 +1,7 @@
-"""Against Monado itself as root, in the root GLSPLAT_MONADO_ROOT that tools/peers/monado/chroot.sh makes.
+"""Test against Monado itself, as root, in the root GLSPLAT_MONADO_ROOT that tools/peers/monado/chroot.sh makes.
 
-Its null compositor shows nothing and takes 20 frames a second; its "remote" driver is told where head, hands and
-fingers are, and what the eyes see. The validation layer of Khronos' SDK looks at every call but those that are timed.
+Its null compositor shows nothing and takes 20 frames per second; its "remote" driver receives head, hands, fingers and
+the eyes' fields of view. The validation layer of Khronos' SDK checks every call except in timed scenarios.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(os.environ.get("GLSPLAT_MONADO_ROOT", "/var/tmp/glsplat-monado"))
-LONGEST = 1800  # seconds of a scenario on a machine that does much else at the same time
+LONGEST = 1800  # seconds of a scenario on a busy machine
 
 pytestmark = pytest.mark.timeout(LONGEST + 60)
 
@@ -27,7 +27,7 @@ CONFIG = {"active": "remote", "remote": {"version": 0, "port": 4242}}
 
 @cache
 def ran(scenario: str, module: str = "session") -> dict[str, Any]:
-    """What a module of tools/peers/monado found within the chroot."""
+    """Return the results of a module of tools/peers/monado, run within the chroot."""
     if not (ROOT / "usr/bin/monado-service").exists():
         pytest.fail(f"no Monado in {ROOT}: sudo sh tools/peers/monado/chroot.sh {ROOT}")
     home = ROOT / "root/.config/monado"
@@ -47,13 +47,13 @@ def ran(scenario: str, module: str = "session") -> dict[str, Any]:
             said, complained = done.communicate(timeout=LONGEST)
         finally:
             with suppress(ProcessLookupError):
-                os.killpg(done.pid, signal.SIGKILL)  # the service, too, where the session ended badly
+                os.killpg(done.pid, signal.SIGKILL)  # also the service, if the session failed
     assert done.returncode == 0, complained[-4000:]
     return dict(json.loads(said.splitlines()[-1]))
 
 
 def complaints(found: dict[str, Any]) -> list[str]:
-    """Of the validation layer, which also tells that it came and went; not having come would be a failure, too."""
+    """Return the complaints of the validation layer, after checking that it was loaded."""
     assert any("CoreValidation-Initialize" in line for line in found["validation"])
     return [line for line in found["validation"] if "VALID_DEBUG" not in line]
 
@@ -62,7 +62,7 @@ def complaints(found: dict[str, Any]) -> list[str]:
     ("scenario", "binding"), [("pictures", "XR_MNDX_egl_enable"), ("window", "XR_KHR_opengl_enable")]
 )
 def test_images_equal_render_to_the_bit_and_tracking_arrives(scenario: str, binding: str) -> None:
-    """Six scripts of head, eyes, asymmetric fields of view, hands and curls; by EGL, and by GLX."""
+    """Run six scripts of head, eyes, asymmetric fields of view, hands and curls, by EGL and by GLX."""
     found = ran(scenario)
     assert binding in found["extensions"]
     assert ("XR_MNDX_egl_enable" in found["extensions"]) == (scenario == "pictures")
@@ -85,12 +85,12 @@ def test_a_runtime_that_is_killed_and_started_anew() -> None:
 
 
 def test_the_layer_does_complain() -> None:
-    """Of a frame that is shown for a space that was destroyed: else its silence would mean nothing."""
+    """Check that the layer reports a frame of a destroyed space."""
     assert complaints(ran("wrong"))
 
 
 def test_extensions_that_monado_lacks_as_pyopenxr_carries_them() -> None:
-    """Body, face and passthrough: its structures are filled as a runtime would, and read by the binding."""
+    """Fill structures of body, face and passthrough as a runtime would, and read them by the binding."""
     found = ran("", "extensions")
     assert len(found["body"]) == 84 and found["body"][70] is None and len(found["hand"]) == 26
     for joints in (found["body"], found["hand"]):

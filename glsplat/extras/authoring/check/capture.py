@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import cv2
@@ -14,6 +14,7 @@ from glsplat.extras.authoring.check.posture import LYING, arms, cut_off, lying, 
 from glsplat.extras.authoring.check.sharpness import blur_of
 from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.networks.face import face_probability
+from glsplat.extras.authoring.networks.head_parts import head_parts
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import (
     DetectedBody,
@@ -22,7 +23,7 @@ from glsplat.extras.authoring.networks.person import (
     find_body_in_box,
     people_mask,
 )
-from glsplat.extras.authoring.segment.mask import person_mask
+from glsplat.extras.authoring.segment.mask import person_mask, with_head
 
 _GOOD_AGREEMENT, _POOR_AGREEMENT = 0.85, 0.75  # of a mask with the body network
 _SATURATED_LEVEL = 253  # of 255
@@ -89,8 +90,10 @@ def check_capture(
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_nobody(picture, person, people),), None, nothing)
     outline = run_in_background(lambda: person_mask(picture, person.body) if known_mask is None else known_mask)
+    parts = run_in_background(lambda: head_parts(picture, person.face))
     several = _several(picture, person, people)
-    mask = outline()
+    person = replace(person, head_parts=parts())
+    mask = outline() if known_mask is not None else with_head(outline(), person.head_parts)
     cut = cut_off(person, mask, view)
     half = cut is not None and cut.refusal
     down = None if half else lying(person)

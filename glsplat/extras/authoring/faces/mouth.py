@@ -47,7 +47,7 @@ _MAX_RIM_RGB, _MAX_DEEP_RGB = (0.55, 0.28, 0.27), (0.12, 0.045, 0.045)  # of the
 
 
 def with_open_lips(mesh: RiggedMesh) -> RiggedMesh:
-    """The mesh, whose first vertices are the open body's, with lips that part for a tongue that is put out.
+    """Return the mesh, first the open body's vertices, with lips that part for a tongue that is put out.
 
     The open body's tongueOut is meant with an open jaw: alone the tongue goes through the lower lip, and it stays
     straight. Here its tip hangs over the lip.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from glsplat.arrays import F32
 from glsplat.extras.authoring.models import catalogue, store
 
+from .face import Face
 from .network import Crop
 from .onnx import Graph
 from .torch_file import read_tensors
@@ -21,6 +22,8 @@ from .torch_file import read_tensors
 _INPUT_PX = 512  # side of the network's input
 _MEAN, _DEVIATION = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])  # of the training pictures
 _NORM_EPSILON = 1e-5
+_MIN_PRESENCE = 0.5  # of a face
+_CROP_FACES, _CROP_DOWN = 2.7, 0.1  # side of the input, and how much lower than the face it lies, of the face's
 
 _lock = Lock()  # a network of OpenCV serves one thread at a time
 
@@ -43,11 +46,15 @@ def available() -> bool:
     return store.state_of(catalogue.HAIR.models[0]) == "here"
 
 
-def head_parts(picture: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
-    """Return the network's label for each pixel of a picture [H, W]; background outside the crop.
+def head_parts(picture: NDArray[np.uint8], face: Face) -> NDArray[np.uint8] | None:
+    """Return a ``HeadPart`` or another label of the network for each pixel [H, W]; background far from the face.
 
-    The crop is about 2.6 times as large as the face. Raises GlsplatError where the network is missing.
+    None without the network, and without a face.
     """
+    if face.presence < _MIN_PRESENCE or not available():
+        return None
+    eyes = face.points[263, :2] - face.points[33, :2]
+    crop = Crop.around(face.points[:, :2], float(np.arctan2(eyes[1], eyes[0])), _CROP_FACES, -_CROP_DOWN)
     values = (crop.cut(picture, _INPUT_PX) / 255 - _MEAN) / _DEVIATION
     with _lock:
         network = _network()

@@ -41,6 +41,8 @@ class DetectedPerson:
     """Its ``presence`` is near 0 from behind."""
     left_hand: Hand
     right_hand: Hand
+    head_parts: NDArray[np.uint8] | None = None
+    """[H, W] from ``networks.head_parts``."""
 
     @property
     def turn(self) -> float:

@@ -67,7 +67,7 @@ class FittedPicture:
 
     @locked_cached_property
     def picture_layers(self) -> PictureLayers:
-        """The picture, split by the body's layers."""
+        """Split the picture by the body's layers."""
         return PictureLayers(self.rgb, self.mask, self.focal, self.view, self.mesh, self.segment, self.bones)
 
     @property

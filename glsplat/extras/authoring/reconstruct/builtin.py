@@ -42,7 +42,7 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
 )
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
-from glsplat.extras.authoring.templates.hair_mask import labels_of, seen_hair
+from glsplat.extras.authoring.templates.hair_mask import seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
 from glsplat.extras.authoring.templates.library import HAIR, hand_skin, template
@@ -70,11 +70,11 @@ class Builtin:
 
     def report(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """Return the avatar with the fit and the mesh it was made from."""
-        body, fit, bald, looks = _fitted(pictures, masks, options)
+        body, fit, bald, looks, parts = _fitted(pictures, masks, options)
         loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
         hair, worn = None, f"painted, a template needs {_MIN_SPLATS_WITH_HAIR} splats"
         if options.splats >= _MIN_SPLATS_WITH_HAIR:
-            hair, worn = _template_hair(body, fit, bald[0])
+            hair, worn = _template_hair(body, fit, bald[0], parts)
         shots = with_hair(body, bald) if hair is None else bald
         mesh = shots[0].mesh
         shod, footwear = _shod(body, fit, shots[0])
@@ -112,7 +112,7 @@ class Builtin:
 
     def mesh(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> FittedBody:
         """Return the dressed body, textured with the pictures."""
-        body, fit, bald, looks = _fitted(pictures, masks, options)
+        body, fit, bald, looks, _ = _fitted(pictures, masks, options)
         shots = with_hair(body, bald)
         shod, footwear = _shod(body, fit, shots[0])
         mesh = shots[0].mesh
@@ -126,10 +126,15 @@ class Builtin:
         return FittedBody(fit=fit, mesh=mesh, unseen=unseen, seen=_trust(shots), problem=fit.problem)
 
 
-def _template_hair(body: Body, fit: BodyFit, front: FittedPicture) -> tuple[FittedHair | None, str]:
-    """Return the hair of the ``front`` picture as a template, None where the painted head is safer, and a note."""
+def _template_hair(
+    body: Body, fit: BodyFit, front: FittedPicture, parts: NDArray[np.uint8] | None
+) -> tuple[FittedHair | None, str]:
+    """Return the hair of the ``front`` picture as a template, None where the painted head is safer, and a note.
+
+    ``parts`` are the person's ``head_parts``.
+    """
     head = head_view(body, fit, front)
-    seen = seen_hair(head, labels_of(head))
+    seen = seen_hair(head, parts)
     hair = None if seen is None else fit_hair(head, seen, tuple(HAIR))
     if hair is None:
         return None, "painted, " + ("none is found" if seen is None else "short, below a hat")
@@ -145,6 +150,7 @@ class _Fitted(NamedTuple):
     fit: BodyFit
     shots: tuple[FittedPicture, ...]  # before hair is added behind the body
     looks: Mapping[str, EyeLook]
+    head_parts: NDArray[np.uint8] | None  # of the front
 
 
 def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> _Fitted:
@@ -176,7 +182,7 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     looks = read_eyes(pictures["front"].rgb, people["front"].face)
     if not any(look.visible for look in looks.values()):
         looks = {}  # closed lids and dark glasses are painted as pictured
-    return _Fitted(body, fit, shots, looks)
+    return _Fitted(body, fit, shots, looks, people["front"].head_parts)
 
 
 def _shod(body: Body, fit: BodyFit, shot: FittedPicture) -> tuple[RiggedMesh | None, str]:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.authoring.networks.head_parts import HeadPart
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
 
 Float = NDArray[np.float32]
@@ -48,6 +49,15 @@ class MaskConfig:
 _SHADOW_FACTORS = (0.88, 0.76, 0.64, 0.52, 0.4)  # brightness of shadows, in sRGB values
 _SURE_COUNT_PX = np.float32(30)  # pixels from which a distribution is fully trusted
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance
+
+
+def with_head(mask: NDArray[np.bool_], parts: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
+    """Return the person's mask [H, W] with the hair, hat and ears that touch it, by ``parts`` [H, W] if known."""
+    if parts is None:
+        return mask
+    worn = np.isin(parts, (HeadPart.HAIR, HeadPart.HAT, HeadPart.LEFT_EAR, HeadPart.RIGHT_EAR))
+    _, label = cv2.connectedComponents((mask | worn).astype(np.uint8))
+    return np.isin(label, np.unique(label[mask]))
 
 
 def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConfig | None = None) -> NDArray[np.bool_]:

@@ -11,9 +11,7 @@ from scipy.cluster.vq import kmeans2
 
 from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.fit.offsets import face_vertices
-from glsplat.extras.authoring.networks import head_parts
 from glsplat.extras.authoring.networks.head_parts import HeadPart
-from glsplat.extras.authoring.networks.network import Crop
 from glsplat.extras.authoring.templates.head_view import HeadView
 from glsplat.pictures import to_linear, to_srgb
 
@@ -31,7 +29,6 @@ _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
 _MIN_PIXELS = 60  # of a lock
-_CROP_HEADS = 2.3  # of the head's height: the network's picture
 # of what is above the eyes: labels that no head has; a hat; hair of a head that is not bald
 _MAX_UNKNOWN, _MIN_HAT_FRACTION, _MIN_HAIR_FRACTION = 0.25, 0.2, 0.08
 _BESIDE_HEADS = 1.3  # of the head's height, to both sides, that is searched
@@ -47,20 +44,10 @@ class SeenHair:
     hat: float | None  # height of a hat's rim in that plane; None without a hat
 
 
-def labels_of(head: HeadView) -> NDArray[np.uint8] | None:
-    """Return the ``HeadPart`` of each pixel [H, W] of the head; None without the network."""
-    if not head_parts.available():
-        return None
-    sizes, up = head.sizes, head.rotation[:2, 1]
-    x, y = head.shot.project(head.camera(head.middle[None]))[0]
-    side = _CROP_HEADS * (sizes.top - sizes.chin) * head.scale
-    return head_parts.head_parts(head.shot.rgb, Crop(float(x), float(y), side, float(np.arctan2(up[0], -up[1]))))
-
-
-def seen_hair(head: HeadView, labels: NDArray[np.uint8] | None = None) -> SeenHair | None:
+def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHair | None:
     """Return the hair that the picture shows, or None for a bald or wholly covered head.
 
-    ``labels`` [H, W] are those of ``labels_of``. Colours decide without them, and where they make no sense.
+    ``parts`` are the person's ``head_parts`` [H, W]. Colours decide without them, and where they show no hair.
     """
     shot, sizes = head.shot, head.sizes
     box = _box(head)
@@ -82,9 +69,8 @@ def seen_hair(head: HeadView, labels: NDArray[np.uint8] | None = None) -> SeenHa
         plane = where[found]
         return SeenHair(out, plane[:: max(1, len(plane) // 20_000)], hat)
 
-    if labels is not None and _is_plausible(labels[box][near & (up > sizes.eyes)]):
-        labelled = _labelled_hair(head, labels[box], near, aside, up)
-        return None if labelled is None else seen(*labelled)
+    if parts is not None and (labelled := _labelled_hair(head, look, parts[box], near, aside, up)) is not None:
+        return seen(*labelled)
     face = _vertex_pixels(head, face_vertices(head.body), box)
     skin = np.median(look[face], axis=0)
     above = near & (up > sizes.top - 0.035) & (aside < 0.06)
@@ -136,22 +122,30 @@ def seen_hair(head: HeadView, labels: NDArray[np.uint8] | None = None) -> SeenHa
     return seen(found, hat)
 
 
-def _is_plausible(labels: NDArray[np.uint8]) -> bool:
-    """Return whether the network knows what is above the eyes; of a figurine's hair it may not."""
-    unknown = np.isin(labels, (HeadPart.BACKGROUND, HeadPart.CLOTH))
-    return len(labels) > 0 and float(unknown.mean()) < _MAX_UNKNOWN
-
-
 def _labelled_hair(
-    head: HeadView, labels: NDArray[np.uint8], near: Bools, aside: NDArray[np.floating], up: NDArray[np.floating]
+    head: HeadView,
+    look: NDArray[np.float32],
+    parts: NDArray[np.uint8],
+    near: Bools,
+    aside: NDArray[np.floating],
+    up: NDArray[np.floating],
 ) -> tuple[Bools, float | None] | None:
-    """Return hair and the rim of a hat as the network sees them; None for a bald or wholly covered head."""
+    """Return hair and the rim of a hat as the network sees them; None where it sees none, or what no head has."""
     sizes = head.sizes
-    hat = near & (labels == HeadPart.HAT) & (up > sizes.eyes)
-    beard = (aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02)
-    found = near & ((labels == HeadPart.HAIR) | ((labels == HeadPart.HAT) & ~hat)) & ~beard
-    found = _from_head(_opened(found), up, sizes.eyes)
     above = near & (up > sizes.eyes)
+    if np.isin(parts[above], (HeadPart.BACKGROUND, HeadPart.CLOTH)).mean() > _MAX_UNKNOWN:
+        return None
+    hat = above & (parts == HeadPart.HAT)
+    beard = (aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02)
+    found = near & ((parts == HeadPart.HAIR) | ((parts == HeadPart.HAT) & ~hat)) & ~beard
+    if not found.any():
+        return None
+    colours = _shaded(np.median(look[found], axis=0), _SHADES)
+    like = np.min([np.linalg.norm((look - one.astype(np.float32)) * _METRIC, axis=2) for one in colours], axis=0)
+    # the network takes dark hair beside a dark collar for cloth
+    beside = (aside > sizes.half_width) & (up > sizes.chin)
+    found |= near & (parts == HeadPart.CLOTH) & (like < _SURE_LIKE) & beside
+    found = _from_head(_opened(found), up, sizes.eyes)
     if found.sum() < _MIN_HAIR_FRACTION * above.sum():
         return None
     worn = hat.sum() > _MIN_HAT_FRACTION * above.sum()

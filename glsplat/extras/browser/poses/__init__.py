@@ -1,1 +1,1 @@
-"""Poses over the wire: what a client that draws itself is sent instead of pictures (docs/protocol.md, section 4.1)."""
+"""Poses over the wire, for clients that draw avatars themselves (docs/protocol.md, section 4.1)."""

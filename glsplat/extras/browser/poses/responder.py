@@ -1,7 +1,7 @@
-"""Answers in poses: as soon as a sample is solved, on the event loop, without a turn of the renderer.
+"""Answer with poses as soon as a sample is solved, on the event loop, without the renderer.
 
-A request for poses passes through its session as all others: the newest wins, at most a window of answers is under
-way, and answers keep the order of their requests, also where a client changes between pictures and poses.
+A request for poses passes through its session as others do: the newest wins, at most a window of answers is under way,
+and answers keep the order of their requests, even if a client changes between pictures and poses.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ NO_POSE = "no_pose"
 
 
 class PoseResponder:
-    """``sha256`` returns the hash of an avatar's file; None where it is not available now.
+    """Answers requests for poses. ``sha256`` returns the hash of an avatar's file; None if it is not available now.
 
-    ``withheld`` returns why consent withholds it; "" where it does not.
+    ``withheld`` returns why consent withholds it; "" if it does not.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class PoseResponder:
         self._sha256, self._withheld, self._clock = sha256, withheld, clock
 
     def due(self, client: ClientStream) -> None:
-        """Answer all requests of this client for poses that can be answered now."""
+        """Answer all of this client's requests for poses that are ready."""
         if client.session.drawing:  # its picture is sent first
             return
         loop = asyncio.get_running_loop()
@@ -51,7 +51,7 @@ class PoseResponder:
             client.answers.put_nowait(self._answer(client))
 
     def pack(self, answer: PoseAnswer) -> Outgoing:
-        """Return an answer as it is sent. Marks it as being sent."""
+        """Pack an answer for sending, and mark its request as being sent."""
         request, client, poses = answer.request, answer.client, answer.poses
         assert request.frame_id is not None
         now = self._clock()
@@ -72,7 +72,7 @@ class PoseResponder:
         return Outgoing(request, [pack_poses(request.frame_id, info, poses.bodies)])
 
     def _solved(self, loop: asyncio.AbstractEventLoop, client: ClientStream) -> None:
-        """Answer a client whose sample is solved. On the solving thread."""
+        """Answer a client whose sample is solved. Runs on the solving thread."""
         with suppress(RuntimeError):  # the server has stopped
             loop.call_soon_threadsafe(self.due, client)
 
@@ -99,7 +99,7 @@ class PoseResponder:
     def _poses(
         self, client: ClientStream, request: Request, arrived: float, solved: Solved | None, now: float
     ) -> Poses | str:
-        """Return the poses that changed in the room, or that of the one avatar; or why there is none.
+        """Return the poses that changed in the room, or that of the one avatar; or the reason for none.
 
         Raises PoseError.
         """
@@ -108,7 +108,7 @@ class PoseResponder:
         name, skeleton = client.shown.name, client.shown.skeleton
         sha256 = self._sha256(name)
         if sha256 is None:
-            return self._withheld(name) or f'"{name}" is nothing that a browser could draw: ask for pictures'
+            return self._withheld(name) or f'"{name}" cannot be drawn by a browser: request pictures'
         pose = request.pose or Pose.zero(55 if skeleton is None else len(skeleton))
         place = AT_ORIGIN
         if solved is not None:

@@ -1,4 +1,4 @@
-"""What is handed out: the files that browsers draw avatars from, by their hashes, and to whom (docs/consent.md)."""
+"""Serve the files from which browsers draw avatars, by their hashes, to permitted users (docs/consent.md)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _File:
 
 
 class SplatFiles(Feature):
-    """The files of the avatars whose consent lets their splats be given away. Each is made once and kept."""
+    """Files of avatars whose consent permits handing out their splats. Each is made once and kept."""
 
     def __init__(self) -> None:
         self._files: dict[str, _File | None] = {}  # by name; None: cannot be made
@@ -54,20 +54,20 @@ class SplatFiles(Feature):
                 self._files[name] = await asyncio.to_thread(_made, self._offers, name)
 
     def avatar_withdrawn(self, name: str) -> None:
-        """Forget its file."""
+        """Drop the avatar's file."""
         self._files.pop(name, None)
 
     def pose_responder(self, server: ServerView) -> PoseResponder:
-        """Return what answers requests for poses, of avatars whose files are handed out."""
+        """Return a responder for avatars whose files are handed out."""
         return PoseResponder(self.file_digest, server.gate.rights.withheld, server.clock)
 
     def file_digest(self, name: str) -> bytes | None:
-        """Return the SHA-256 of an avatar's file; None where it is not handed out now."""
+        """Return the SHA-256 of an avatar's file; None if it is not handed out now."""
         file = self._files.get(name)
         return None if file is None or self._rights.withheld(name) else file.sha256
 
     def avatar_fields(self, name: str) -> Mapping[str, Any]:
-        """Return ``hand_out`` of an avatar in /session: null where its file is not handed out."""
+        """Return ``hand_out`` of an avatar in /session: null if its file is not handed out."""
         file = self._files.get(name)
         if file is None or self._rights.withheld(name):
             return {"hand_out": None}
@@ -76,11 +76,11 @@ class SplatFiles(Feature):
         return {"hand_out": {"sha256": digest, "bytes": len(file.data), "first": file.first, "url": url}}
 
     def routes(self) -> list[web.RouteDef]:
-        """/splats/SHA256."""
+        """Return the route /splats/SHA256."""
         return [web.get("/splats/{sha256}", self._file)]
 
     async def _file(self, request: web.Request) -> web.Response:
-        """One file for all names that have it: it is given to who may have it under any of them."""
+        """Serve a file to users who may have it under any of its avatars' names."""
         asked, user = request.match_info["sha256"], user_of(request)
         worn, sees = self._worn(user), self._rights.sees
         here = [name for name, file in self._files.items() if file is not None and file.sha256.hex() == asked]

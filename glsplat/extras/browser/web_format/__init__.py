@@ -1,1 +1,1 @@
-"""The avatar as a browser fetches it: quantised, in parts, the coarsest first (docs/protocol.md, section 8.1)."""
+"""The avatar's file for browsers: quantised, in parts, the coarsest first (docs/protocol.md, section 8.1)."""

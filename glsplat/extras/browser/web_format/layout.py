@@ -1,4 +1,4 @@
-"""What lies where in an avatar's file for the wire: the header, and how many bytes each part has unpacked."""
+"""Layout of an avatar's file for browsers: its header, and the unpacked size of each part."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import msgspec
 MAGIC = b"GSAV"
 VERSION = 1
 HEAD = struct.Struct("<4sHHII")
-"""Magic, version, 0, bytes of the header as it lies there, bytes of it unpacked."""
+"""Magic, version, 0, bytes of the packed header, bytes of the unpacked header."""
 
 MOST_HEADER = 1 << 20  # bytes of JSON
 MOST_SPLATS = 1 << 21  # a part
 MOST_ENTRIES = 1 << 24  # of shapes, a part
 MOST_JOINTS = 4096
-_SHORT = 256  # joints that one byte tells apart
+_SHORT = 256  # joints that one byte can index
 
 
 class Joints(msgspec.Struct):
-    """The skeleton: matrices are 3x4 row by row, as ``glsplat.Skeleton`` has them."""
+    """The skeleton, with the matrices of ``glsplat.Skeleton`` as 3x4, row by row."""
 
     names: list[str]
     parents: list[int]
@@ -29,7 +29,7 @@ class Joints(msgspec.Struct):
 
 
 class Targets(msgspec.Struct):
-    """What all shapes share (``glsplat.skinning.shapes.Shapes``)."""
+    """Names, sizes and limits of the shapes (``glsplat.skinning.shapes.Shapes``)."""
 
     names: list[str]
     sizes: list[float]
@@ -37,7 +37,7 @@ class Targets(msgspec.Struct):
 
 
 class Part(msgspec.Struct, omit_defaults=True):
-    """Bytes that unpack alone: a level's splats, their shapes or their surface. ``offset`` is from the header's end."""
+    """A separately packed part: a level's splats, shapes or surface. ``offset`` is from the header's end."""
 
     kind: Literal["splats", "shapes", "surface"]
     level: int
@@ -56,7 +56,7 @@ class Part(msgspec.Struct, omit_defaults=True):
 
 
 class Header(msgspec.Struct):
-    """Of the whole file. ``splats`` are those of level 0."""
+    """Header of the file. ``splats`` is the count of level 0."""
 
     splats: int
     sh_degree: int
@@ -68,7 +68,7 @@ class Header(msgspec.Struct):
 
 
 def planes_of(header: Header) -> dict[str, int]:
-    """Bytes a splat of each attribute, in the order in which a part has them."""
+    """Return the bytes a splat of each attribute, in the order of a part."""
     wide = 1 if len(header.joints.names) <= _SHORT else 2
     return {
         "means": 6,
@@ -83,7 +83,7 @@ def planes_of(header: Header) -> dict[str, int]:
 
 
 def unpacked_size(header: Header, part: Part, splats: int) -> int:
-    """Bytes of a part of a level of so many splats."""
+    """Return the unpacked bytes of a part of a level of ``splats``."""
     if part.kind == "splats":
         return splats * sum(planes_of(header).values())
     if part.kind == "surface":

@@ -1,6 +1,6 @@
-"""The bytes that a browser fetches back to an avatar: for tests, and for what checks a page's reader against this one.
+"""Read an avatar from its file for browsers, for tests and as the reference of the page's reader.
 
-Nothing is unpacked beyond what the counts of the header allow, and these are held against limits first.
+Counts of the header are checked against limits, and no part is unpacked beyond them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _decoder = msgspec.json.Decoder(Header)
 
 
 def decode_avatar(data: bytes) -> Avatar:
-    """The avatar of such a file, with its levels. Raises FormatError for what is none, is cut short, or lies."""
+    """Return the avatar of a file, with its levels. Raises FormatError for other, truncated or inconsistent files."""
     header, first = read_header(data)
     body = memoryview(data)[first:]
     try:
@@ -76,7 +76,7 @@ def decode_avatar(data: bytes) -> Avatar:
 
 
 def read_header(data: bytes) -> tuple[Header, int]:
-    """What a file says of itself, checked against limits and its size, and where its parts begin.
+    """Return the header, checked against limits and the file's size, and the offset of the parts.
 
     Raises FormatError.
     """
@@ -91,7 +91,7 @@ def read_header(data: bytes) -> tuple[Header, int]:
     try:
         header = _decoder.decode(text)
     except (msgspec.MsgspecError, RecursionError, UnicodeError):
-        raise FormatError("the header is not the JSON that it has to be") from None
+        raise FormatError("the header is not valid JSON of this format") from None
     _check(header, len(data) - HEAD.size - packed)
     return header, HEAD.size + packed
 
@@ -194,14 +194,14 @@ def _surface(data: memoryview, header: Header, part: Part, splats: int) -> Surfa
 
 
 def _matrices(numbers: Sequence[float]) -> NDArray[np.float64]:
-    """[J, 4, 4] of 3x4 row by row."""
+    """Return matrices [J, 4, 4] from rows of 3x4."""
     out = np.tile(np.eye(4), (len(numbers) // 12, 1, 1))
     out[:, :3] = np.array(numbers, np.float64).reshape(-1, 3, 4)
     return out
 
 
 def _unpacked(data: bytes | memoryview, start: int, length: int, size: int, what: str) -> bytes:
-    """``size`` bytes, never more."""
+    """Unpack exactly ``size`` bytes. Raises FormatError for more or fewer."""
     unpacker = zlib.decompressobj(-15)
     try:
         raw = unpacker.decompress(data[start : start + length], size + 1)

@@ -1,4 +1,4 @@
-"""An avatar to the bytes that a browser fetches. The same avatar makes the same bytes with the same zlib."""
+"""Write an avatar's file for browsers. An avatar gives the same bytes with the same zlib."""
 
 from __future__ import annotations
 
@@ -44,22 +44,22 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-_VISIBLE = 1 / 255  # opacity below which nothing of a splat is ever drawn
-_FINE = 16  # units of a shape's moves that are rounded to one: 15 um of 3 cm, and a low byte that packs
+_VISIBLE = 1 / 255  # opacity below which a splat is never drawn
+_FINE = 16  # units to which a shape's moves are rounded: 15 um of 3 cm, so that the low byte packs well
 
 
 def web_file(avatar: Avatar) -> WebFile:
-    """``encode_avatar``, and where its first part ends."""
+    """Return ``encode_avatar`` and the end of its first part."""
     data = encode_avatar(avatar)
     header, at = read_header(data)
     return WebFile(data, at + header.parts[0].bytes)
 
 
 def encode_avatar(avatar: Avatar) -> bytes:
-    """The file of docs/protocol.md, section 8.1: 25 bytes a splat and its SH, packed, the coarsest level first.
+    """Return the file of docs/protocol.md, section 8.1: 25 bytes a splat and its SH, packed, coarsest level first.
 
-    Splats that are never drawn are left out, visibility cones too. Raises FormatError for an avatar of which nothing is
-    drawn, or that has more splats or joints than a reader takes.
+    Splats that are never drawn and visibility cones are left out. Raises FormatError for an avatar without visible
+    splats, or with more splats or joints than a reader accepts.
     """
     levels = [avatar, *(level.content for level in avatar.levels)]
     rated = [(None, None), *((level.density, level.psnr) for level in avatar.levels)]
@@ -108,7 +108,7 @@ def _file(header: Header, parts: list[bytes]) -> bytes:
 
 
 def _prepared(level: Avatar, degree: int, influences: int) -> Avatar:
-    """What is drawn of it, in the file's order, with skin in steps: as it will be read."""
+    """Return the visible splats in the file's order, with a quantised skin, as they will be read."""
     splats, weights = level.splats, weight_steps(level.skin.weights)
     drawn = np.flatnonzero(splats.drawable() & (splats.opacities >= _VISIBLE))
     if not 0 < len(drawn) <= MOST_SPLATS:
@@ -129,7 +129,7 @@ def _prepared(level: Avatar, degree: int, influences: int) -> Avatar:
 
 
 def _splats(level: Avatar, part: Part) -> list[bytes]:
-    """The planes of a level; ``part`` is told what its steps mean."""
+    """Return the planes of a level, and write the ranges of its steps to ``part``."""
     splats, skin = level.splats, level.skin
     low, high = splats.means.min(axis=0).astype(np.float64), splats.means.max(axis=0).astype(np.float64)
     sizes = np.abs(splats.scales[np.abs(splats.scales) >= THINNEST]).astype(np.float64)

@@ -1,1 +1,1 @@
-"""Methods of making avatars, compared over participants under one control: the tables of the paper."""
+"""Compare methods of making avatars over participants: the tables of the paper."""

@@ -1,4 +1,4 @@
-"""Control: the poses of an avatar at the moments of a performance, by the true pose or by head and hands alone."""
+"""Controls: an avatar's poses at the moments of a performance, from the true pose or from head and hands alone."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from glsplat.tracking.solve.body import Body
 from glsplat.tracking.tracker import Tracker
 
 CONTROLS = ("tracking", "pose")
-"""By head and hands through the solver, as users do; by the true pose, which no headset knows."""
+"""From head and hands through the solver, as for users; from the true pose, which no headset knows."""
 
 
 def recorded(performance: Performance, skeleton: Skeleton) -> list[Sample]:
-    """What an ideal headset sees of the performer, whose ``skeleton`` it is, at RATE. PoseError for another rig."""
+    """Return an ideal headset's samples of the performer at RATE. Raises PoseError unless the rig is SMPL-X's."""
     ground = np.array([0.0, Body.of(skeleton).ground, 0.0])
     truth = truth_from_motion(skeleton, performance.rotations, performance.trans + ground, RATE, RATE)
     return derive(skeleton, truth)
 
 
 def tracked(samples: list[Sample], moments: tuple[int, ...], skeleton: Skeleton) -> list[Pose]:
-    """The poses of an avatar's ``skeleton`` at those samples, driven through all of them by the product's tracker."""
-    tracker = Tracker(skeleton, config=TrackerConfig(arm_scaling=0))  # an avatar is compared with the limbs it has
+    """Return poses of an avatar's ``skeleton`` at ``moments`` (indices), tracked through all samples before them."""
+    tracker = Tracker(skeleton, config=TrackerConfig(arm_scaling=0))  # compare avatars with their own limbs
     poses = []
     for index, sample in enumerate(samples[: max(moments) + 1]):
         pose = tracker.update(sample)
@@ -37,7 +37,7 @@ def tracked(samples: list[Sample], moments: tuple[int, ...], skeleton: Skeleton)
 
 
 def true_poses(performance: Performance, performer: Skeleton, skeleton: Skeleton) -> list[Pose]:
-    """The performer's own rotations at the moments, joint by name, and their translation. PoseError: none in common."""
+    """Return the performer's rotations, by joint name, and translations. Raises PoseError without a common joint."""
     index = {name: i for i, name in enumerate(performer.names)}
     known = [(i, index[name]) for i, name in enumerate(skeleton.names) if name in index]
     if not known:

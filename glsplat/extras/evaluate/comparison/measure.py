@@ -1,4 +1,4 @@
-"""What is measured of every picture: the paper's measures over the whole square, over the figure's box, and by part."""
+"""Measures of every picture: the paper's over the whole square, over the figure's box, and by body part."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from glsplat.extras.evaluate.metrics.pixels import WHOLE, decibel
 from glsplat.extras.evaluate.metrics.structure import inner_mean, ssim_map
 
 MEASURES = ("l1", "lpips", "psnr", "ssim")
-"""The paper's, over the whole square."""
+"""The paper's measures, over the whole square."""
 BOXED = ("box_l1", "box_psnr", "box_ssim")
-"""Over the box around the participant, which black around the figure cannot flatter."""
+"""Measures over the box around the participant, which leave out most of the black background."""
 PARTED = ("l1", "psnr", "ssim")
-"""By body part, over the pixels that are nearest to it."""
+"""Measures by body part, over the pixels nearest to it."""
 OVERLAP = "overlap"  # of the silhouettes: the smaller coverage over the larger, summed over the picture
 
-_BESIDE = 2  # pixels of the box around the figure, for what blurs outwards
-_FEWEST = 30  # pixels of a part that is worth a figure
+_BESIDE = 2  # pixels around the figure in its box, for blur
+_FEWEST = 30  # pixels of a part that is measured
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What is worked out once of the truth, for all avatars."""
+    """The truth with values that are computed once for all avatars."""
 
     truth: StageTruth
     rgb: NDArray[np.float32]  # [2, H, W, 3] in [0, 1]
@@ -43,14 +43,14 @@ class Reference:
 
     @classmethod
     def of(cls, truth: StageTruth, protocol: Protocol) -> Reference:
-        """The truth, ready to be compared with."""
+        """Return the reference of a truth."""
         rgb, networks = _rgb(truth.pictures), _networks(protocol)
         features = tuple({name: network.features(one) for name, network in networks.items()} for one in rgb)
         return cls(truth, rgb, tuple(_box(one) for one in truth.pictures), features)
 
 
 class Scores:
-    """The figures of one avatar: filled picture by picture."""
+    """The measures of one avatar, filled picture by picture."""
 
     def __init__(self, protocol: Protocol, moments: int) -> None:
         self._extra = tuple(name for name in EXTRA_MEASURES if name in protocol.extra_measures)
@@ -63,7 +63,7 @@ class Scores:
         }
 
     def add(self, control: str, moment: int, view: int, reference: Reference, pictures: NDArray[np.uint8]) -> None:
-        """Compare what both eyes [2, H, W, 4] see of the avatar."""
+        """Measure both eyes' pictures [2, H, W, 4] of the avatar."""
         values, parts = self._values[control], self._parts[control]
         for eye, (picture, wanted) in enumerate(zip(_rgb(pictures), reference.rgb, strict=True)):
             at = moment, view, eye
@@ -87,7 +87,7 @@ class Scores:
                         parts[part][name][at] = found[name]
 
     def to_json(self, digits: int) -> dict[str, Any]:
-        """Values and parts, rounded; what was not seen is null."""
+        """Return values and parts, rounded to ``digits``; null where a part is not visible."""
         values = {
             control: {name: _listed(array, digits) for name, array in by_name.items()}
             for control, by_name in self._values.items()
@@ -103,7 +103,7 @@ class Scores:
 
 
 def _networks(protocol: Protocol) -> dict[str, Lpips]:
-    """Measure -> the network that takes it."""
+    """Return the network of each LPIPS measure, by the measure's name."""
     kinds: dict[str, Literal["alex", "vgg"]] = {"lpips": "alex"}
     if "lpips-vgg" in protocol.extra_measures:
         kinds["lpips-vgg"] = "vgg"
@@ -112,12 +112,12 @@ def _networks(protocol: Protocol) -> dict[str, Lpips]:
 
 @cache
 def _network(kind: Literal["alex", "vgg"]) -> Lpips:
-    """One for all avatars: its weights are read once."""
+    """Return the network, whose weights are read once."""
     return Lpips(kind)
 
 
 def _three(apart: F64, similar: float) -> dict[str, float]:
-    """The measures of PARTED, of differences [..., 3] and the mean of the map of SSIM."""
+    """Return the measures of PARTED from differences [..., 3] and mean SSIM."""
     return {"l1": float(np.abs(apart).mean()), "psnr": decibel(float((apart**2).mean())), "ssim": similar}
 
 
@@ -126,7 +126,7 @@ def _rgb(pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _box(picture: NDArray[np.uint8]) -> tuple[slice, slice]:
-    """Rows and columns of the figure in a picture [H, W, 4]; all of them where there is none."""
+    """Return rows and columns of the figure in a picture [H, W, 4]; all of them without a figure."""
     rows, columns = (np.flatnonzero((picture[..., 3] > 0).any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return WHOLE
@@ -141,5 +141,5 @@ def _overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
 
 
 def _listed(array: F64, digits: int) -> list[Any]:
-    """Nested lists of an array [M, V, 2]; None for NaN."""
+    """Return nested lists of an array [M, V, 2]; None for NaN."""
     return [[[None if x != x else round(float(x), digits) for x in eyes] for eyes in views] for views in array]

@@ -1,4 +1,4 @@
-"""Methods: what makes an avatar of a participant. The project's own, other packages', or a folder of files."""
+"""Methods of making an avatar of a participant: the project's own, other packages', or a folder of files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glsplat.scene import Rigged
 from glsplat.splats import Splats
 
 GROUP = "glsplat.methods"
-"""Other packages name here, as an entry point, what gives a Method when it is called without arguments."""
+"""Entry point group of other packages; an entry is called without arguments and returns a Method."""
 
 OWN = {
     "photo": "glsplat.extras.evaluate.comparison.own_methods:Photo",
@@ -25,25 +25,25 @@ OWN = {
     "scan": "glsplat.extras.evaluate.comparison.own_methods:Scan",
 }
 
-# files with a rig count before those without
+# prefer files with a rig
 _FORMATS = sorted((form for form in all_formats().values() if form.load), key=lambda form: not form.rigs)
 _SUFFIXES = tuple(s for form in _FORMATS for s in form.suffixes if s.startswith("."))
 PLUGINS = Plugins("method", GROUP, "make", OWN)
 
 
 class Method(Protocol):
-    """Makes an avatar of a person, from nothing but what was captured of them; ``scan`` alone looks at the truth."""
+    """Makes an avatar of a person from their captured data alone; only ``scan`` uses the truth."""
 
     def make(self, participant: Participant) -> Rigged | str | Path:
-        """An avatar or a rigged mesh in its zero pose, soles on y = 0, facing +z, metres; or the path of one.
+        """Return an avatar or a rigged mesh in its zero pose, soles on y = 0, facing +z, metres; or the path of one.
 
-        Raises GlsplatError in one line where it cannot: that participant's row then says so.
+        Raises GlsplatError with one line, which the participant's row shows.
         """
 
 
 @dataclass(frozen=True)
 class MadeElsewhere:
-    """Files made elsewhere: NAME.glb or of another format of splats, or NAME.npz, for the participant NAME.
+    """Files made elsewhere for the participant NAME: NAME.glb, NAME.npz or another format of splats.
 
     Splats without a skeleton are bound to the nearest surface of the participant's own mesh, which favours them.
     """
@@ -51,11 +51,11 @@ class MadeElsewhere:
     folder: Path
 
     def make(self, participant: Participant) -> Rigged:
-        """The file, read. Raises FormatError."""
+        """Read and return the participant's figure. Raises FormatError."""
         return read_figure(self.file_of(participant), participant)
 
     def file_of(self, participant: Participant) -> Path:
-        """That participant's file. Raises FormatError where there is none."""
+        """Return the participant's file. Raises FormatError if there is none."""
         found = [file for suffix in _SUFFIXES if (file := self.folder / f"{participant.name}{suffix}").is_file()]
         if not found:
             names = ", ".join(_SUFFIXES)
@@ -64,13 +64,13 @@ class MadeElsewhere:
 
 
 def read_figure(file: Path, participant: Participant) -> Rigged:
-    """An avatar or mesh of a file; splats without a skeleton are bound to the participant's mesh. FormatError."""
+    """Return the avatar or mesh in a file, with unrigged splats bound to the participant's mesh. Raises FormatError."""
     content = load_content(file)
     return bind_to_mesh(content, participant.mesh) if isinstance(content, Splats) else content
 
 
 def method_of(word: str) -> tuple[str, str | MadeElsewhere]:
-    """Name and what to call of a word of the command line: ``name`` (see OWN, GROUP) or ``name=FOLDER``."""
+    """Parse ``name`` (see OWN, GROUP) or ``name=FOLDER`` into a name and a method. Raises GlsplatError."""
     name, given, folder = word.partition("=")
     _check_name(name)
     if not given:
@@ -85,7 +85,7 @@ def method_of(word: str) -> tuple[str, str | MadeElsewhere]:
 
 
 def method_named(name: str, options: Mapping[str, Any]) -> Method:
-    """Load a method; the project's own take ``options`` (seed, quick). Raises GlsplatError, one line."""
+    """Load a method; the project's own take ``options`` (seed, quick). Raises GlsplatError."""
     method = PLUGINS.named(name)
     if name in OWN:
         method = replace(method, **options)
@@ -94,6 +94,6 @@ def method_named(name: str, options: Mapping[str, Any]) -> Method:
 
 
 def _check_name(name: str) -> None:
-    """Names become file names. Raises GlsplatError."""
+    """Raise GlsplatError unless a name can be a file name."""
     if not name or not all(part.isalnum() for part in name.replace("-", "_").split("_")) or len(name) > 40:
         raise GlsplatError(f"a method's name has letters, digits, - and _, not {name!r:.50}")

@@ -22,39 +22,39 @@ from glsplat.meshes import RiggedMesh
 
 @dataclass(frozen=True)
 class _Own:
-    """What the project's own methods are told."""
+    """Options of the project's own methods."""
 
     seed: int = 0
-    quick: bool = False  # a look, not a result
+    quick: bool = False  # less work, lower quality
 
 
 @dataclass(frozen=True)
 class Photo(_Own):
-    """The photograph of the front to splats, as ``glsplat avatar photo`` makes them; the height is told."""
+    """The front photograph to splats, as ``glsplat avatar photo`` with the participant's height."""
 
     def make(self, participant: Participant) -> Avatar:
-        """Raises CaptureError where the check refuses the photograph."""
+        """Return the avatar. Raises CaptureError if the check refuses the photograph."""
         return from_photos(participant.photo, height=participant.height, seed=self.seed)
 
 
 @dataclass(frozen=True)
 class MeshImage(_Own):
-    """The same photograph to a textured mesh, as ``glsplat avatar photo --as mesh`` makes them."""
+    """The same photograph to a textured mesh, as ``glsplat avatar photo --as mesh`` does."""
 
     def make(self, participant: Participant) -> RiggedMesh:
-        """Raises CaptureError where the check refuses the photograph."""
+        """Return the mesh. Raises CaptureError if the check refuses the photograph."""
         return mesh_from_photos(participant.photo, height=participant.height)
 
 
 @dataclass(frozen=True)
 class MeshVideo(_Own):
-    """A video of the person turning to a textured mesh, as ``glsplat avatar video --as mesh`` makes them.
+    """A video of the turning person to a textured mesh, as ``glsplat avatar video --as mesh`` does.
 
-    Where there is none it is drawn: the participant in the photograph's pose, camera and light, turning once.
+    A missing video is rendered: the participant turns once in the photograph's pose, camera and light.
     """
 
     def make(self, participant: Participant) -> RiggedMesh:
-        """Raises CaptureError where the check refuses the frames."""
+        """Return the mesh. Raises CaptureError if the check refuses the frames."""
         count = _QUICK_FRAMES if self.quick else FRAMES
         options = Options(height=participant.height, seed=self.seed)
         if participant.video is not None:
@@ -70,27 +70,25 @@ class MeshVideo(_Own):
         pose = participant.pose or pose_of(_A_POSE, mesh.skeleton)
         light = participant.light or _LIGHT
         shots = turntable(mesh, camera, pose, light["direction_to"], light["colour"], frames=count, seed=self.seed)
-        return [
-            FramePicture(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)
-        ]  # as of a video
+        return [FramePicture(f"frame {number}", shot.rgb, None) for number, shot in enumerate(shots, 1)]
 
 
 @dataclass(frozen=True)
 class Scan(_Own):
-    """The participant's own mesh to splats, as ``glsplat avatar make`` makes them, with fewer steps of fitting."""
+    """The participant's own mesh to splats, as ``glsplat avatar make`` does, with fewer steps of fitting."""
 
     def make(self, participant: Participant) -> Avatar:
-        """Raises FormatError for a mesh that cannot be read."""
+        """Return the avatar. Raises FormatError if the mesh cannot be read."""
         mesh = participant.mesh
         if self.quick:
             return make_avatar(mesh, 10_000, self.seed, SamplerConfig(probe=256))
         return fitted_to_mesh(make_avatar(mesh, 40_000, self.seed), mesh, self.seed, _STEPS if available() else _SLOW)
 
 
-_STEPS, _SLOW = 450, 60  # of fitting, with numba and without; the command takes 900 and 450
+_STEPS, _SLOW = 450, 60  # steps of fitting, with numba and without; the command takes 900 and 450
 _QUICK_FRAMES = 8
 
-# a usual photograph, where nothing is known of the participant's own
+# a typical photograph, for participants without a capture note
 _LOOK = (0.0, 1.3, 3.2), (0.0, 0.88, 0.0)
 _FOV = 40.0  # degrees, vertical
 _A_POSE = {"left_shoulder": (0.0, 0.0, -0.7), "left_hip": (0.0, 0.0, 0.07)}

@@ -1,4 +1,4 @@
-"""Participants: people whose true look is known, and what was captured of them."""
+"""Participants: people with a true mesh, and their captured photograph, video and notes."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from glsplat.skinning.pose import Pose
 _MESHES = (".npz", ".glb")
 _PICTURES = (".jpg", ".jpeg", ".png")
 _VIDEOS = (".mp4", ".webm", ".mov", ".mkv", ".avi")
-_LARGEST = 1 << 20  # bytes of a note of a capture
+_LARGEST = 1 << 20  # bytes of a capture's note
 
 
 @dataclass(frozen=True, eq=False)
 class Participant:
-    """One person. Nothing is read before it is asked for, so that a broken file fails where it can be reported."""
+    """One person. Files are read on first use, so that a broken one is reported in this participant's row."""
 
     name: str
     folder: Path
     height: float | None = None
-    """Metres, where the participant said it."""
+    """Metres; None if unknown."""
 
     @property
     def mesh_file(self) -> Path:
@@ -39,7 +39,7 @@ class Participant:
 
     @property
     def photo(self) -> Path:
-        """The photograph that methods may use. Raises FormatError where there is none."""
+        """The photograph that methods may use. Raises FormatError if there is none."""
         found = _one_of(self._captured, _PICTURES)
         if found is None:
             raise FormatError(f"{self._captured}.jpg: no such picture; a participant needs a photograph")
@@ -47,7 +47,7 @@ class Participant:
 
     @property
     def video(self) -> Path | None:
-        """A video of the person turning, where there is one."""
+        """A video of the turning person; None if there is none."""
         return _one_of(self._captured, _VIDEOS)
 
     @cached_property
@@ -55,30 +55,30 @@ class Participant:
         """The truth in its zero pose, soles on y = 0. Raises FormatError."""
         found = load(self.mesh_file)
         if not isinstance(found, RiggedMesh) or len(found.skeleton) < 2:
-            raise FormatError(f"{self.mesh_file}: a participant is a textured mesh with a skeleton, this is none")
+            raise FormatError(f"{self.mesh_file}: a participant needs a textured mesh with a skeleton")
         return found
 
     @property
     def camera(self) -> Camera | None:
-        """The photograph's camera, where it is known."""
+        """The photograph's camera; None if unknown."""
         if "camera" not in self._notes:
             return None
         return camera_from_json(self._notes["camera"], f"{self._note_file}: camera")
 
     @property
     def pose(self) -> Pose | None:
-        """The pose in the photograph, where it is known; of the mesh's skeleton."""
+        """The pose of the mesh's skeleton in the photograph; None if unknown."""
         if "pose" not in self._notes:
             return None
         return Pose(self._notes["pose"], self._notes.get("trans", (0.0, 0.0, 0.0)))
 
     @property
     def light(self) -> Mapping[str, Any] | None:
-        """The photograph's light as its note has it, where it is known."""
+        """The photograph's light from its note; None if unknown."""
         return self._notes.get("light")
 
     def digest(self) -> str:
-        """Of all files: changes when one of them does. Raises FormatError where one cannot be read."""
+        """Return a digest of height and all files. Raises FormatError if a file cannot be read."""
         total = hashlib.sha256(repr(self.height).encode())
         for file in (self.mesh_file, _one_of(self._captured, _PICTURES), self.video, self._note_file):
             if file is not None and file.is_file():
@@ -101,17 +101,17 @@ class Participant:
 
 
 def participants_in(folder: Path) -> list[Participant]:
-    """All participants of a folder, by name: NAME.npz or .glb is the truth, capture/NAME.jpg or .png the photograph.
+    """Return a folder's participants, by name: NAME.npz or .glb is the truth, capture/NAME.jpg or .png the photograph.
 
-    ``capture/NAME.json`` may tell the photograph's camera, pose and light, ``capture/NAME.mp4`` may show the person
-    turning, and ``participants.json`` may give heights in metres ({"participants": [{"id", "height_m"}]}). Raises
-    FormatError where nobody is found.
+    Optional files: ``capture/NAME.json`` with the photograph's camera, pose and light, ``capture/NAME.mp4`` of the
+    turning person, ``participants.json`` with heights in metres ({"participants": [{"id", "height_m"}]}). Raises
+    FormatError if there is nobody.
     """
     if not folder.is_dir():
         raise FormatError(f"{folder}: no such folder; participants are NAME.npz or NAME.glb in a folder")
     names = sorted({file.stem for file in folder.iterdir() if file.suffix in _MESHES and file.is_file()})
     for name in names:
-        if not name.isprintable():  # it goes into files, pages and terminals
+        if not name.isprintable():  # written to files, pages and terminals
             raise FormatError(f"{folder}: a participant's name is printable text, not {name!r:.60}")
     if not names:
         raise FormatError(f"{folder}: nobody is here; participants are NAME.npz or NAME.glb")
@@ -127,7 +127,7 @@ def participants_in(folder: Path) -> list[Participant]:
 
 
 def digest_of(file: Path) -> str:
-    """SHA-256 of a file, whatever its size, in hexadecimal. Raises FormatError where it cannot be read."""
+    """Return the SHA-256 of a file of any size, in hexadecimal. Raises FormatError if it cannot be read."""
     try:
         with file.open("rb") as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""Body parts in pictures of a participant: which of them each pixel belongs to."""
+"""Assign the pixels of a participant's pictures to body parts."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _HANDS = tuple(
 )
 _LEGS = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "ankle", "foot"))
 _HAIR = ("hair",)
-_STEP = 40  # of 255, between the greys of two parts
+_STEP = 40  # levels of 255 between the greys of two parts
 
 
 def labelled_mesh(mesh: RiggedMesh) -> RiggedMesh:
-    """The same triangles, each in the grey of its part; for a renderer with one sample a pixel."""
+    """Return the mesh with each triangle in the grey of its part; for a renderer with one sample per pixel."""
     kinds = np.concatenate([_kinds(mesh, part) for part in mesh.parts])
     faces, parts = mesh.faces, []
     for index, name in enumerate(PARTS):
@@ -35,14 +35,14 @@ def labelled_mesh(mesh: RiggedMesh) -> RiggedMesh:
 
 
 def labels_of(picture: NDArray[np.uint8]) -> NDArray[np.int8]:
-    """[H, W] the part (place in PARTS) that a picture [H, W, 4] of a labelled mesh shows, -1 for none."""
+    """Return the part (index into PARTS) [H, W] in a picture [H, W, 4] of a labelled mesh, -1 for none."""
     return np.asarray(np.where(picture[..., 3] > 127, np.rint(picture[..., 0] / _STEP).astype(int) - 1, -1), np.int8)
 
 
 def regions(labels: NDArray[np.int8], reach: int) -> NDArray[np.int8]:
-    """[H, W] the same, with each pixel of the background within ``reach`` pixels given to the nearest part.
+    """Return labels [H, W] with background pixels within ``reach`` pixels of a part assigned to the nearest one.
 
-    What an avatar has wrongly beside its person is a mistake of the part that it stands beside.
+    Pixels that an avatar wrongly covers beside the person so count as errors of that part.
     """
     empty = labels < 0
     if empty.all():
@@ -56,7 +56,7 @@ def regions(labels: NDArray[np.int8], reach: int) -> NDArray[np.int8]:
 
 
 def _kinds(mesh: RiggedMesh, part: MeshPart) -> NDArray[np.intp]:
-    """[F] place in PARTS of each triangle, by the joint that holds most of its first corner."""
+    """Return each triangle's index into PARTS [F], by the strongest joint of its first corner."""
     corner = part.faces[:, 0]
     strongest = strongest_joint(mesh.joints, mesh.weights)[corner]
     names = mesh.skeleton.names
@@ -69,4 +69,4 @@ def _kinds(mesh: RiggedMesh, part: MeshPart) -> NDArray[np.intp]:
     return out
 
 
-_FRONT = 0.03  # metres before the head joint, where ears end and the face begins
+_FRONT = 0.03  # metres in front of the head joint: between ears and face

@@ -1,4 +1,4 @@
-"""What participants do while they are compared: a motion, and the moments of it at which pictures are taken."""
+"""Performances: the motion of a participant, and the moments at which avatars are compared."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
 RATE = 72.0
-"""Samples of head and hands a second, as a headset's display."""
+"""Samples of head and hands per second, a headset's display rate."""
 
-_STAND, _MOVE, _HOLD = 1.0, 0.8, 0.7  # seconds: at the beginning, to a pose, in it
+_STAND, _MOVE, _HOLD = 1.0, 0.8, 0.7  # seconds: standing first, moving to a pose, holding it
 _RELAXED = {**fist("left", 0.25), **fist("right", 0.25)}
 _HANGING: Rotations = {"left_shoulder": (0, 0.1, -1.15), "left_elbow": (0, -0.25, 0), **_RELAXED}
 
@@ -69,12 +69,12 @@ TASKS: dict[str, Rotations] = {
         "head": (-0.15, 0, 0),
     },
 }
-"""Pose -> joint rotations: what people are asked to do before a mirror, feet where they are (paper, section 4.2)."""
+"""Joint rotations by task: tasks before a mirror without stepping (paper, section 4.2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Performance:
-    """A motion at RATE of one person's skeleton, soles on y = 0, and where in it pictures are taken."""
+    """A motion at RATE of one person's skeleton, soles on y = 0, with the moments of comparison."""
 
     rotations: F64  # [T, J, 3] axis-angle
     trans: F64  # [T, 3] metres
@@ -82,13 +82,13 @@ class Performance:
     names: tuple[str, ...]  # of the moments
 
     def pose(self, moment: int) -> Pose:
-        """The true pose at a moment, by its place in ``moments``."""
+        """Return the true pose at a moment, by its index into ``moments``."""
         frame = self.moments[moment]
         return Pose(self.rotations[frame], self.trans[frame])
 
 
 def perform(mesh: RiggedMesh, names: tuple[str, ...] = tuple(TASKS)) -> Performance:
-    """TASKS one after the other by this person, who begins standing: each is gone to smoothly, and held."""
+    """Return a performance of tasks by a person who begins standing, moves smoothly to each pose, and holds it."""
     skeleton = mesh.skeleton
     keys = [pose_of(TASKS[name], skeleton).rotations for name in ("standing", *names)]
     heights = [_height(mesh, turned) for turned in keys]
@@ -107,7 +107,7 @@ def perform(mesh: RiggedMesh, names: tuple[str, ...] = tuple(TASKS)) -> Performa
 
 
 def perform_motion(source: str | Path, skeleton: Skeleton, count: int) -> Performance:
-    """A motion file, or an embedded motion, with ``count`` moments evenly in it. Raises PoseError."""
+    """Return a motion file or an embedded motion with ``count`` evenly spaced moments. Raises PoseError."""
     motion: Motion = load_motion(source, skeleton, forward=True).resampled(RATE)
     frames = len(motion)
     moments = tuple(int((index + 0.5) / count * frames) for index in range(count))
@@ -120,5 +120,5 @@ def _frames(seconds: float) -> int:
 
 
 def _height(mesh: RiggedMesh, rotations: F64) -> float:
-    """How far the pelvis goes up for the lowest vertex to be on y = 0, metres."""
+    """Return the height in metres that raises the lowest vertex to y = 0."""
     return -float(mesh.posed(Pose(rotations))[np.unique(mesh.faces), 1].min())

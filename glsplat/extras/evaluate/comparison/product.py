@@ -1,4 +1,4 @@
-"""Products: the avatar that a method made of a participant, kept as a file so that it is made once."""
+"""Products: the avatar that a method made of a participant, cached as a file."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from glsplat.scene import Rigged, is_rigged
 
 @dataclass(frozen=True, eq=False)
 class Product:
-    """An avatar, and what making it took."""
+    """An avatar, and facts about its making."""
 
     figure: Rigged
     facts: Mapping[str, Any]
-    """kind ("splats" or "triangles"), count, bytes of its file, seconds it took to make (None: made elsewhere)."""
+    """kind ("splats" or "triangles"), count, bytes of the file, seconds of making (None: made elsewhere)."""
 
 
 def product(
     name: str, source: str | MadeElsewhere, participant: Participant, out: Path, options: Mapping[str, Any]
 ) -> Product:
-    """The avatar of a participant by the method ``name``, made or taken from ``out``, if it was made alike.
+    """Make the avatar of a participant by the method ``name``, or load it from ``out`` if its inputs are unchanged.
 
-    It is what its file holds either way, so that a run that goes on is as one that was never interrupted. Raises
-    GlsplatError in one line, also for whatever a method of somebody else raises.
+    Either way the avatar is read from its file, so that a resumed run gives the same results. Raises GlsplatError
+    with one line, also for any error of another package's method.
     """
     file, note = out / f"{participant.name}.glb", out / f"{participant.name}.json"
     wanted = {**key_of(source, participant), **options}
@@ -53,14 +53,14 @@ def product(
             save(figure, file)
         else:
             save_gltf_mesh(figure, file)
-        kept = {"key": wanted, "seconds": seconds, "sha256": digest_of(file)}  # of this file and no other
+        kept = {"key": wanted, "seconds": seconds, "sha256": digest_of(file)}
         replace_file(note, [json.dumps(kept).encode()])
     figure = _checked(load(file), name)
     return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
 
 
 def key_of(source: str | MadeElsewhere, participant: Participant) -> dict[str, Any]:
-    """What an avatar depends on, beside the options and the code. Raises FormatError for files that are not there."""
+    """Return an avatar's inputs besides options and code. Raises FormatError for missing files."""
     key: dict[str, Any] = {"glsplat": version("glsplat"), "participant": participant.digest()}
     if isinstance(source, MadeElsewhere):
         return {**key, "file": digest_of(source.file_of(participant))}
@@ -80,7 +80,7 @@ def _made(name: str, source: str | MadeElsewhere, participant: Participant, opti
 
 def _checked(figure: Any, name: str) -> Rigged:
     if not is_rigged(figure):
-        raise FormatError(f'the method "{name}" gave {figure!r:.80}, not an avatar or a mesh with a skeleton')
+        raise FormatError(f'the method "{name}" returned {figure!r:.80}, not an avatar or a mesh with a skeleton')
     return figure
 
 

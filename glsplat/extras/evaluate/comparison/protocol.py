@@ -1,4 +1,4 @@
-"""The protocol: what is drawn and what is compared, stated once (docs/evaluation.md)."""
+"""The protocol of a comparison: tasks, views, sizes and measures (docs/evaluation.md)."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.comparison.performance import TASKS
 
 VIEWS: Mapping[str, float] = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
-"""Side of the person that is seen -> azimuth of the camera in degrees, growing towards the left hand."""
+"""Azimuth of the camera in degrees by the visible side of the person, growing towards the left hand."""
 
 _DISTANCE = 3.0  # metres from the middle of the figure
 LIGHTS = ("none", "capture")
 EXTRA_MEASURES = ("flip", "lpips-vgg")
-"""Measures that are taken where they are asked for: they cost more than all others together."""
+"""Optional measures; they cost more than all others together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
-    """What all methods are put through. Raises GlsplatError for what cannot be drawn."""
+    """Settings that are the same for all methods. Raises GlsplatError for invalid ones."""
 
     tasks: tuple[str, ...] = tuple(TASKS)
     motion: str | None = None  # a motion file or name instead of the tasks; ``moments`` of it are drawn
-    motion_digest: str = ""  # of the file, whose name alone says little
+    motion_digest: str = ""  # of the motion file
     moments: int = 8
     views: tuple[str, ...] = tuple(VIEWS)
-    size: int = 512  # pixels a side of an eye
-    fill: float = 0.88  # of the picture that the figure takes, in its longer direction
+    size: int = 512  # side of an eye's picture in pixels
+    fill: float = 0.88  # share of the picture that the figure takes, in its longer direction
     ipd: float = PAPER_IPD  # metres between the eyes
-    light: str = "none"  # "none": the truth in its textures' own colours; "capture": lit as in the photograph
+    light: str = "none"  # of the truth: "none", its textures' own colours; "capture", as in the photograph
     extra_measures: tuple[str, ...] = ()  # measures beyond those of the paper
 
     def __post_init__(self) -> None:
@@ -49,15 +49,15 @@ class Protocol:
         if strange := set(self.extra_measures) - set(EXTRA_MEASURES):
             raise GlsplatError(f"further measures are {', '.join(EXTRA_MEASURES)}, not {min(strange)!r:.30}")
         if not 1 <= self.moments <= 100:
-            raise GlsplatError(f"a motion is looked at in 1 to 100 moments, not {self.moments}")
+            raise GlsplatError(f"a motion needs 1 to 100 moments, not {self.moments}")
 
     def to_json(self) -> dict[str, Any]:
-        """A plain object; two protocols are the same where these are."""
+        """Return a JSON object, which is equal for equal protocols."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
 
 
 def eyes(points: F64, view: str, protocol: Protocol) -> tuple[Camera, Camera]:
-    """Both eyes before the figure ``points`` [N, 3] (metres), level with its middle, before black."""
+    """Return both eyes' cameras before the figure ``points`` [N, 3] (metres), level with its middle, on black."""
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     turn = np.radians(VIEWS[view])
     viewmat = look_at(centre + _DISTANCE * np.array([np.sin(turn), 0, np.cos(turn)]), centre)

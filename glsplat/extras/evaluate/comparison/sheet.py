@@ -1,4 +1,4 @@
-"""Contact sheets: an avatar beside its participant, at every moment, from the front and from behind."""
+"""Contact sheets: an avatar and its participant at every moment, from the front and from behind."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 Picture = NDArray[np.uint8]
-_SIDE = 192  # pixels of a picture on the sheet
-_STRIP = 18  # pixels of a row's name, above it
+_SIDE = 192  # height of a picture in pixels
+_STRIP = 18  # height of a row's heading in pixels
 _QUALITY = 85
 
 
 class Sheet:
-    """Small pictures in rows (what) and columns (moments); rows appear in the order in which they are first named."""
+    """Small pictures in named rows and a column per moment; rows are in the order of their first picture."""
 
     def __init__(self, moments: int) -> None:
         self._moments = moments
         self._rows: dict[str, list[Picture | None]] = {}
 
     def put(self, row: str, moment: int, picture: Picture) -> None:
-        """A picture [H, W, 3 or 4] RGB(A)."""
+        """Add a picture [H, W, 3 or 4] RGB(A)."""
         cells = self._rows.setdefault(row, [None] * self._moments)
         height, width = picture.shape[:2]
         size = (round(_SIDE * width / height), _SIDE)
         cells[moment] = cv2.resize(picture[..., :3], size, interpolation=cv2.INTER_AREA)
 
     def jpeg(self) -> bytes:
-        """The sheet with its rows' names, JPEG."""
+        """Return the sheet with its rows' names as a JPEG."""
         lines = []
         for name, cells in self._rows.items():
             filled = [np.zeros((_SIDE, _SIDE, 3), np.uint8) if cell is None else cell for cell in cells]

@@ -1,4 +1,4 @@
-"""The stage: a participant's truth and any number of avatars, drawn under the same cameras at the same moments."""
+"""The stage renders a participant's truth and any number of avatars with the same cameras at the same moments."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
 
 Picture = NDArray[np.uint8]
-_REACH = 0.02  # of the picture; what lies farther from the figure is no body part's
+_REACH = 0.02  # share of the picture; pixels farther from the figure belong to no body part
 
 
 @dataclass(frozen=True, eq=False)
 class StageTruth:
-    """What both eyes should see at one moment from one side."""
+    """The true pictures of both eyes at one moment from one side."""
 
     cameras: tuple[Camera, Camera]
     pictures: Picture  # [2, H, W, 4] RGBA
-    regions: NDArray[np.int8]  # [2, H, W] place in PARTS, -1 for none
+    regions: NDArray[np.int8]  # [2, H, W] index into PARTS, -1 for none
 
 
 class Stage:
     """Renderers of one participant and of avatars, on one context; release it on the thread that made it.
 
-    ``light`` is the note of the participant's photograph, for a protocol whose truth is lit as that is.
+    ``light`` is the note of the participant's photograph, for a protocol with the light of the capture.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Stage:
         if lit and light is None:
             raise FormatError('the light of the photograph is not known ("light" in capture/NAME.json); compare unlit')
         self._light = CaptureLight.of_note(light) if lit and light is not None else None
-        self._shade: NDArray[np.float64] | None = None  # of what is posed
+        self._shade: NDArray[np.float64] | None = None  # of the posed vertices
         with ExitStack() as stack:
             self._context = create_context()
             stack.callback(self._context.release)
@@ -72,14 +72,14 @@ class Stage:
         return self._context.driver
 
     def add(self, figure: Rigged) -> int:
-        """Put an avatar on the stage; the number by which ``draw`` knows it."""
+        """Add an avatar and return its number for ``draw``."""
         renderer = Renderer(figure, size=self._size, views=2, context=self._context)
         self._stack.callback(renderer.release)
         self._figures.append(renderer)
         return len(self._figures) - 1
 
     def truth(self, moment: int, view: str) -> StageTruth:
-        """The participant at a moment of the performance, from a side."""
+        """Render the participant at a moment of the performance, from a side."""
         pose = self._performance.pose(moment)
         if self._posed[0] != moment:
             vertices = self._mesh.posed(pose)
@@ -91,7 +91,7 @@ class Stage:
         return StageTruth(cameras, pictures, np.stack([regions(labels_of(one), self._reach) for one in labels]))
 
     def draw(self, figure: int, cameras: Sequence[Camera], pose: Pose) -> Picture:
-        """What both eyes [2, H, W, 4] see of an avatar in a pose."""
+        """Render an avatar in a pose for both eyes [2, H, W, 4]."""
         return self._figures[figure].render(cameras, pose)
 
     def release(self) -> None:

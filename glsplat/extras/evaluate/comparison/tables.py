@@ -1,4 +1,4 @@
-"""Tables of a comparison, from the results of all participants: means over participants of their own means."""
+"""Tables of a comparison: means over participants of each participant's mean."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.extras.evaluate.statistics import compare
 
 Groups = dict[str, dict[str, dict[str, float]]]
-"""By what the figures are of, then method and participant."""
+"""Values by label (a side, pose or body part), method and participant."""
 
 PAPER: Mapping[str, Mapping[str, float]] = {
     "mesh-video": {"l1": 0.042, "lpips": 0.099, "psnr": 16.33, "ssim": 0.927},
     "mesh-image": {"l1": 0.043, "lpips": 0.103, "psnr": 16.74, "ssim": 0.917},
     "photo": {"l1": 0.033, "lpips": 0.082, "psnr": 17.92, "ssim": 0.934},
 }
-"""Table 1 of the paper, by the method that has the same role here: photographs of 24 people, other crops and poses."""
+"""Table 1 of the paper, by the method with the same role here; of photographs of 24 people, other crops and poses."""
 
 
 def means(results: Sequence[Result], method: str, control: str, measure: str) -> dict[str, float]:
-    """Participant -> mean over all moments, views and eyes; those that failed are left out."""
+    """Return each participant's mean over all moments, views and eyes, without failed results."""
     return {one.participant: float(np.nanmean(_array(one, control, measure))) for one in _good(results, method)}
 
 
 def summary(results: Sequence[Result], methods: Sequence[str], people: int) -> list[dict[str, Any]]:
-    """Table 1: a row a method and control, each measure as mean and standard deviation over ``n`` of ``people``."""
+    """Return table 1: a row per method and control with mean and deviation of each measure over ``n`` of ``people``."""
     rows = []
     for control in CONTROLS:
         for method in methods:
@@ -47,7 +47,7 @@ def summary(results: Sequence[Result], methods: Sequence[str], people: int) -> l
 
 
 def compared(results: Sequence[Result], methods: Sequence[str], seed: int) -> list[dict[str, Any]]:
-    """A row a control, measure and pair of methods: statistics.Paired; the pairs of one measure are one family."""
+    """Return a row (statistics.Paired) per control, measure and pair of methods; a measure's pairs are one family."""
     rows = []
     for control in CONTROLS:
         for measure in _measures(results):
@@ -61,7 +61,7 @@ def compared(results: Sequence[Result], methods: Sequence[str], seed: int) -> li
 
 
 def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """A row a participant and method: the paper's measures under both controls, or why there are none."""
+    """Return a row per participant and method: the paper's measures under both controls, or the failure."""
     rows = []
     order = {method: place for place, method in enumerate(methods)}
     for one in sorted(results, key=lambda one: (one.participant, order[one.method])):
@@ -79,22 +79,22 @@ def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[di
 
 
 def by_view(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """A row a method, control and side of the person that is seen."""
+    """Return a row per method, control and visible side of the person."""
     return _along(results, methods, "view", _measures(results))
 
 
 def by_moment(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """A row a method, control and moment (pose)."""
+    """Return a row per method, control and moment (pose)."""
     return _along(results, methods, "moment", _measures(results))
 
 
 def by_part(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """A row a method, control and body part; means over the pictures in which it is seen."""
+    """Return a row per method, control and body part, with means over the pictures that show it."""
     return _along(results, methods, "part", PARTED)
 
 
 def grouped(results: Sequence[Result], methods: Sequence[str], control: str, measure: str, key: str) -> Groups:
-    """Figures of one measure by side ("view"), pose ("moment") or body part ("part"), then method and participant."""
+    """Return one measure by side ("view"), pose ("moment") or body part ("part"), then method and participant."""
     groups: Groups = {}
     for method in methods:
         for one in _good(results, method):
@@ -105,7 +105,7 @@ def grouped(results: Sequence[Result], methods: Sequence[str], control: str, mea
 
 
 def failures(results: Sequence[Result]) -> list[dict[str, str]]:
-    """Participant, method and reason of what failed."""
+    """Return participant, method and reason of each failure."""
     return [{"participant": r.participant, "method": r.method, "why": r.failed} for r in results if r.failed]
 
 
@@ -126,7 +126,7 @@ def _along(
 
 
 def _pieces(one: Result, control: str, measure: str, key: str) -> list[tuple[str, F64]]:
-    """The values of a result by what they are of."""
+    """Return the values of a result by label: a moment, view or part."""
     if key == "part":
         return [(part, _numbers(one.data["parts"][control][part][measure])) for part in PARTS]
     array = _array(one, control, measure)
@@ -135,7 +135,7 @@ def _pieces(one: Result, control: str, measure: str, key: str) -> list[tuple[str
 
 
 def _measures(results: Sequence[Result]) -> list[str]:
-    """Those that were taken, the paper's first."""
+    """Return the measures in the results, the paper's first."""
     taken: Mapping[str, Any] = next((one.data["values"][CONTROLS[0]] for one in results if not one.failed), {})
     first = [*MEASURES, *BOXED, OVERLAP]
     return [name for name in (*first, *(name for name in taken if name not in first)) if name in taken]
@@ -150,12 +150,12 @@ def _array(one: Result, control: str, measure: str) -> F64:
 
 
 def _numbers(values: Any) -> F64:
-    """[M, V, 2] of nested lists; null is NaN."""
+    """Return nested lists as an array [M, V, 2]; null becomes NaN."""
     return np.array(values, np.float64)
 
 
 def _spread(values: Sequence[float]) -> dict[str, Any] | None:
-    """Mean and standard deviation over participants (of the sample; none of one), and how many they are."""
+    """Return mean, sample standard deviation (None for one value) and number of participants; None without any."""
     if not values:
         return None
     deviation = _round(np.std(values, ddof=1)) if len(values) > 1 else None

@@ -1,7 +1,7 @@
-"""The work of a comparison: a participant at a time, each method's avatar made, driven, drawn and measured.
+"""The work of a comparison: make, drive, draw and measure each method's avatar of one participant.
 
-What is done lies in the output folder and is not done again: ``avatars/METHOD/NAME.glb``, ``results/METHOD/NAME.json``,
-``sheets/METHOD/NAME.jpg``. A result is written whole or not at all, and only once everything in it is known.
+Finished work is kept in the output folder and not repeated: ``avatars/METHOD/NAME.glb``, ``results/METHOD/NAME.json``,
+``sheets/METHOD/NAME.jpg``. A result is written atomically, once it is complete.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
 
 Tell = Callable[[str, float], None]
-"""Called with a step's name and the share of the task that is done."""
+"""Called with a step's name and the finished share of the task."""
 
-_MAKING = 0.5  # share of a task that is making avatars, about
+_MAKING = 0.5  # approximate share of a task's time for making avatars
 _DIGITS = 6
 
 log: logging.Logger = logging.getLogger("glsplat.extras.evaluate")
@@ -46,7 +46,7 @@ class Task:
     """One participant and the methods that have no result yet."""
 
     participant: Participant
-    methods: Mapping[str, str | MadeElsewhere]  # name -> what ``product`` makes it by
+    methods: Mapping[str, str | MadeElsewhere]  # ``source`` of ``product``, by name
     protocol: Protocol
     out: Path
     options: Mapping[str, Any] = field(default_factory=dict)  # seed, quick: of the project's own methods
@@ -54,18 +54,18 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One method on one participant: ``failed`` is one line, or empty where there are values."""
+    """One method on one participant: ``failed`` is one line; "" if there are values."""
 
     participant: str
     method: str
     failed: str = ""
     data: Mapping[str, Any] = field(default_factory=dict)
     """product (see Product.facts), moments, views, values {control: {measure: [M][V][2]}}, parts {control: {part:
-    {measure: [M][V][2], null where it is not seen}}}."""
+    {measure: [M][V][2], null where it is not visible}}}."""
 
 
 def finished(task: Task) -> list[Result]:
-    """Results that lie in the folder and hold for this task's protocol, options and files."""
+    """Return the results in the folder that are valid for this task's protocol, options and files."""
     found = []
     for method in task.methods:
         try:
@@ -73,17 +73,17 @@ def finished(task: Task) -> list[Result]:
             if kept["key"] == _key(task, method) and _sheet_file(task, method).is_file():
                 found.append(Result(task.participant.name, method, data=kept["data"]))
         except (GlsplatError, OSError, ValueError, KeyError, TypeError):
-            continue  # it is made anew, and says then what is wrong
+            continue  # it is made again, which reports any error
     return found
 
 
 def alone(task: Task) -> list[Result]:
-    """``work`` without anybody who is told how far it is: on another machine."""
+    """Do a task without reporting progress, on another machine."""
     return work(task, lambda step, done: None)
 
 
 def work(task: Task, tell: Tell) -> list[Result]:
-    """Do a task; a result a method. What fails is a result that says why, and is tried again in the next run."""
+    """Do a task and return one result per method; a failed one has the reason and is retried in the next run."""
     name = task.participant.name
     made: dict[str, Product] = {}
     results = []
@@ -115,7 +115,7 @@ def work(task: Task, tell: Tell) -> list[Result]:
 
 
 def _said(error: Exception) -> str:
-    """One line of an error; of one that nobody raised on purpose, the log has the rest."""
+    """Return one line for an error; unexpected ones are logged with their traceback."""
     if isinstance(error, GlsplatError):
         return str(error)
     log.error("a comparison failed", exc_info=error)
@@ -123,7 +123,7 @@ def _said(error: Exception) -> str:
 
 
 def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tuple[dict[str, Any] | str, Sheet]]:
-    """Method -> its values, or why there are none, and its contact sheet."""
+    """Return each method's values, or the reason of its failure, and its contact sheet."""
     protocol, mesh = task.protocol, task.participant.mesh
     performance = perform(mesh, protocol.tasks)
     if protocol.motion is not None:
@@ -145,7 +145,7 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
             for method, entry in list(entries.items()):
                 try:
                     _compare(entry, stage, reference, moment, view, protocol.views)
-                except Exception as error:  # of this avatar alone
+                except Exception as error:  # the other avatars go on
                     out[method] = _said(error), entry.sheet
                     del entries[method]
         for method, entry in entries.items():
@@ -162,8 +162,8 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
 
 
 def _compare(entry: _Entry, stage: Stage, reference: Reference, moment: int, view: int, views: Sequence[str]) -> None:
-    """Draw an avatar under both controls as the truth was drawn, and measure it."""
-    side, shown = views[view], view in (0, len(views) // 2)  # the front and the back, where all four are looked at
+    """Draw an avatar under both controls with the truth's cameras, and measure it."""
+    side, shown = views[view], view in (0, len(views) // 2)  # front and back, if there are all four
     if shown:
         entry.sheet.put(f"{side}: participant", moment, reference.truth.pictures[0])
     for control, poses in entry.poses.items():
@@ -193,14 +193,14 @@ def _poses(made: Product, performance: Performance, samples: list[Sample], task:
 
 
 def _moments(moments: int, protocol: Protocol) -> Iterator[tuple[int, int, float]]:
-    """Moment, place of the view, and the share that is done before it."""
+    """Yield moment, index of the view, and the share that is finished before it."""
     total = moments * len(protocol.views)
     for index, (moment, view) in enumerate(np.ndindex(moments, len(protocol.views))):
         yield moment, view, index / total
 
 
 def _key(task: Task, method: str) -> dict[str, Any]:
-    """What a result depends on, beside the code. Raises GlsplatError for files that are not there."""
+    """Return a result's inputs besides the code. Raises GlsplatError for missing files."""
     source = key_of(task.methods[method], task.participant)
     return {"protocol": task.protocol.to_json(), "options": dict(task.options), **source}
 

@@ -1,4 +1,4 @@
-"""Workers: a process a task, their progress and results in one; what a worker dies of is a result."""
+"""Run each task in a process and collect progress and results; a dead process becomes a failed result."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing import Any
 from glsplat.extras.evaluate.comparison.work import Result, Task, work
 
 Show = Callable[[int, str, float], None]
-"""Called with a task's place, what is being done of it, and the share of it that is done."""
+"""Called with a task's index, its current step, and its finished share."""
 
-# a worker is a core, whatever the user's shell says: sums differ in their last bits with the number of threads
+# one thread per worker, as the last bits of sums depend on the number of threads
 _ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 
 
 def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Result]]:
-    """The results of each task, as they come, from at most ``jobs`` processes at a time.
+    """Yield the results of each task as it finishes, from at most ``jobs`` processes at a time.
 
-    Each task has a process of its own, also where there is one alone, so that all are worked out alike. Processes that
-    are left when the caller stops are ended.
+    Each task, even a single one, has its own process, so that all run alike. Processes that still run when the caller
+    stops are terminated.
     """
     context = multiprocessing.get_context("spawn")
     waiting = list(range(len(tasks)))
@@ -37,7 +37,7 @@ def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Res
                 worker: BaseProcess = context.Process(target=_work, args=(tasks[index], theirs))
                 with _environment(_ONE_CORE):
                     worker.start()
-                theirs.close()  # so that its end is heard when the process ends
+                theirs.close()  # so that recv() raises EOFError when the process ends
                 running[ours] = index, worker
             for connection in wait(list(running)):
                 assert isinstance(connection, Connection)
@@ -63,7 +63,7 @@ def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Res
 
 
 def _work(task: Task, said: Connection) -> None:
-    """A worker's whole life: one task."""
+    """Run one task in a worker process."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -71,7 +71,7 @@ def _work(task: Task, said: Connection) -> None:
 
     def tell(step: str, done: float) -> None:
         if parent is not None and not parent.is_alive():
-            os._exit(1)  # nobody waits for this any more
+            os._exit(1)
         said.send((step, done))
 
     said.send(work(task, tell))
@@ -85,13 +85,13 @@ def _lost(task: Task, code: int | None) -> list[Result]:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """These values in the environment, and no ear for Ctrl-C, for processes that are started within.
+    """Set environment variables and ignore Ctrl-C in processes that are started within.
 
-    This process hears it, too, and ends its workers; they would each say where they were.
+    This process handles Ctrl-C and ends its workers, which would otherwise each print a traceback.
     """
     before: dict[str, Any] = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
-    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is ignored stays so in a new program
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited by new processes
     try:
         yield
     finally:

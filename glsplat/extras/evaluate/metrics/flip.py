@@ -1,4 +1,4 @@
-"""FLIP (Andersson et al. 2020): what an eye sees when two pictures are shown in turn; NVIDIA's own program."""
+"""FLIP (Andersson et al. 2020): the visible difference of two alternating pictures, by NVIDIA's own program."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from .pixels import WHOLE, Box, checked
 
 
 def flip(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = WHOLE) -> float:
-    """Mean FLIP over ``box``, for low dynamic range and its default of 67 pixels a degree; 0 is equal.
+    """Return mean FLIP over ``box``, for low dynamic range and its default of 67 pixels per degree; 0 is equal.
 
-    Raises GlsplatError where the package flip-evaluator is missing.
+    Raises GlsplatError if the package flip-evaluator is missing.
     """
     picture, truth = checked(picture, truth)
     require_package("FLIP", "flip_evaluator", "evaluate")

@@ -1,4 +1,4 @@
-"""LPIPS v0.1 (Zhang et al. 2018): how unlike two pictures are to a network that was trained to recognize things."""
+"""LPIPS v0.1 (Zhang et al. 2018): the distance of two pictures in the features of a recognition network."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _SCALE = np.array([0.458, 0.448, 0.450])
 class Lpips:
     """The distance by AlexNet (``alex``, quick, the usual one) or VGG16 (``vgg``, some twenty times the work).
 
-    ``path`` is the file of the weights; without it that of the store. Raises GlsplatError where it is not there, with
-    the command that fetches it.
+    ``path`` is the file of the weights (default: the store's). Raises GlsplatError with the command that fetches a
+    missing file.
     """
 
     def __init__(self, kind: Literal["alex", "vgg"], path: Path | None = None) -> None:
@@ -39,9 +39,9 @@ class Lpips:
         self._roots = [np.sqrt(head) for head in weights.heads]
 
     def features(self, picture: NDArray[np.floating]) -> list[F32]:
-        """What the network sees of a picture [H, W, 3] in [0, 1], [h, w, C] a layer; see ``distance``.
+        """Return the features of a picture [H, W, 3] in [0, 1] for ``distance``, [h, w, C] per layer.
 
-        Of 512 x 512 pixels these are 11 MB (alex) or 128 MB (vgg).
+        They take 11 MB (alex) or 128 MB (vgg) for 512 x 512 pixels.
         """
         checked(picture, picture)
         height, width = picture.shape[:2]
@@ -56,9 +56,9 @@ class Lpips:
         return features
 
     def distance(self, picture: Sequence[F32], truth: Sequence[F32]) -> float:
-        """LPIPS of two pictures of one size by their features: 0 is equal, 0.5 is another thing.
+        """Return LPIPS of two pictures of one size from their features: 0 for equal ones, 0.5 for unrelated ones.
 
-        Features of one picture can be kept and compared with those of several. Raises GlsplatError for two sizes.
+        Features can be reused for several comparisons. Raises GlsplatError for different sizes.
         """
         shapes = [[layer.shape for layer in features] for features in (picture, truth)]
         if shapes[0] != shapes[1]:

@@ -10,12 +10,12 @@ from glsplat.errors import GlsplatError
 
 from .pixels import WHOLE, Box, checked
 
-_SIGMA, _RADIUS = 1.5, 5  # pixels: the window of 11 x 11 of the publication
-_C1, _C2 = 0.01**2, 0.03**2  # of white
+_SIGMA, _RADIUS = 1.5, 5  # pixels: the paper's window of 11 x 11
+_C1, _C2 = 0.01**2, 0.03**2  # for a peak of 1
 
 
 def ssim_map(picture: NDArray[np.floating], truth: NDArray[np.floating]) -> NDArray[np.float64]:
-    """SSIM around each pixel, a channel at a time [H, W, 3]; within 5 pixels of the border it is a guess."""
+    """Return SSIM around each pixel by channel [H, W, 3]; within 5 pixels of the border it is approximate."""
     x, y = (one.astype(np.float64) for one in checked(picture, truth))
     mx, my = _blur(x), _blur(y)
     cross = mx * my
@@ -25,16 +25,16 @@ def ssim_map(picture: NDArray[np.floating], truth: NDArray[np.floating]) -> NDAr
 
 
 def ssim(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = WHOLE) -> float:
-    """The mean of the map over ``box``, without the 5 pixels along the picture's border, whose windows stick out.
+    """Return the mean SSIM over ``box`` without the 5 pixels along the picture's border.
 
-    What scikit-image's ``structural_similarity`` gives with gaussian_weights, sigma 1.5, use_sample_covariance False.
-    Raises GlsplatError where nothing is left.
+    Equals scikit-image's ``structural_similarity`` with gaussian_weights, sigma 1.5, use_sample_covariance False.
+    Raises GlsplatError if no pixels are left.
     """
     return inner_mean(ssim_map(picture, truth), box)
 
 
 def inner_mean(local: NDArray[np.float64], box: Box = WHOLE) -> float:
-    """The mean of a map [H, W, 3] of ``ssim_map`` over ``box``; see ``ssim``."""
+    """Return the mean over ``box`` of a map [H, W, 3] of ``ssim_map``; see ``ssim``."""
     height, width = local.shape[:2]
     rows, columns = (
         slice(max(start, _RADIUS), max(min(stop, length - _RADIUS), 0))

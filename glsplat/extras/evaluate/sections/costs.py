@@ -1,4 +1,4 @@
-"""What avatars of different kinds cost at the same sizes: time, memory and triangles or splats, batched and not."""
+"""Cost of avatars of different kinds at the same sizes: time, memory and triangles or splats, batched and not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
 
 PAPER = {512: (21.78, 37.47), 768: (23.19, 38.33), 1024: (25.45, 38.80)}
-"""Pixels a side -> (with, without) Binocular Batching, ms a frame: the paper's table of rendering performance.
+"""Ms per frame (with, without) Binocular Batching by picture side in pixels: the paper's rendering performance.
 
 Measured by its authors on their GPU with their avatars; its FPS column is 1000 / ms, without encoding.
 """
@@ -28,17 +28,17 @@ SIZES = tuple(PAPER)
 
 def costs(
     context: Context,
-    figures: Mapping[str, Rigged],  # by name; of one person, so that one camera is right for all
-    sizes: Sequence[int] = SIZES,  # pixels a side of each eye
+    figures: Mapping[str, Rigged],  # by name; of one person, as all have one camera
+    sizes: Sequence[int] = SIZES,  # side of each eye's picture in pixels
     frames: int = 30,  # measured, after a warm-up
     tick: Callable[[], object] = lambda: None,  # called after each frame of each avatar
 ) -> list[dict[str, Any]]:
-    """Return a row an avatar and size as JSON values, beside the paper's at this size.
+    """Return a row per avatar and size as JSON values, with the paper's values at this size.
 
-    Times are median ms a frame, read back: ``pair_ms`` both eyes in one call, ``two_ms`` each eye by a renderer of its
-    own, ``in_turn_ms`` eye by eye by one renderer, which poses once; ``gain`` is ``two_ms / pair_ms``. ``bytes`` of GPU
-    memory are for what is drawn and the work buffers of a renderer of pairs. All avatars move by the same motion under
-    the same orbiting pair, frame by frame in turn.
+    Times are median ms per frame, read back: ``pair_ms`` both eyes in one call, ``two_ms`` each eye by its own
+    renderer, ``in_turn_ms`` eye by eye by one renderer, which poses once; ``gain`` is ``two_ms / pair_ms``. ``bytes``
+    is the GPU memory of a renderer of pairs: the avatar and work buffers. Avatars take turns frame by frame, with the
+    same motion and orbiting cameras.
     """
     rows: list[dict[str, Any]] = []
     for size in sizes if figures else ():
@@ -75,7 +75,7 @@ def costs(
 
 
 def _milliseconds(renderers: Sequence[Renderer], eyes: Sequence[Camera], pose: Pose) -> tuple[float, float, float]:
-    """Return the times of one frame as a pair, by two renderers that share nothing, and eye by eye by one renderer."""
+    """Return ms of one frame as a pair, by a renderer per eye, and eye by eye by one renderer."""
     pair, shared, *own = renderers
     pair.render(eyes, pose)
     two = in_turn = 0.0

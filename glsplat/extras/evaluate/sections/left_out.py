@@ -1,4 +1,4 @@
-"""What a scene does not need is left out: what each feature would cost compiled in but unused, and what is kept."""
+"""Cost of features that are compiled in but unused, and of frames in which nothing moves."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 _STIR = 1e-9
-"""Metres a pose moves each frame so that a skin pass that changes nothing still runs."""
+"""Metres that a pose moves per frame, so that the skin pass runs without changing the picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """One picture drawn twice: by what a scene needs, and with a feature it does not need."""
+    """One picture drawn twice: with only what the scene needs, and with an unused feature."""
 
     name: str
     lean: tuple[Splats | Avatar, RenderConfig]
     full: tuple[Splats | Avatar, RenderConfig]
     how: str  # the feature is present but unused
-    tolerance: float = 0.01  # how far apart the pictures may be: a pixel at alpha 1/255 may go either way
+    tolerance: float = 0.01  # largest difference of the pictures: rounding may cut off a pixel at alpha 1/255
 
 
 def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
-    """The comparisons that can be made without changing the picture."""
+    """Return the features that a scene can have without changing its picture."""
     splats, config = splats_of(scene), RenderConfig()
     plain = replace(splats, sh=np.ascontiguousarray(splats.sh[:, :1]))
     padded = replace(plain, sh=np.pad(plain.sh, ((0, 0), (0, 15), (0, 0))))
@@ -92,7 +92,7 @@ def features_of(scene: Splats | Avatar, context: Context) -> list[Feature]:
 
 
 def left_out(context: Context, subject: Subject, features: Sequence[Feature], frames: int) -> list[dict[str, Any]]:
-    """One row a feature: both costs, interleaved, what was compiled, run and stored, and how equal the pictures are."""
+    """Return a row per feature: both interleaved times, programs, passes, buffers, and the pictures' difference."""
     return [_compare(context, subject, feature, frames) for feature in features]
 
 
@@ -116,7 +116,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
         apart = 0.0
         for frame in range(WARM_UP + frames):
             views, images = subject.views(frame), {}
-            # whoever goes first finds colder caches: take turns
+            # the first one finds colder caches: take turns
             for side in sorted(sides, reverse=bool(frame % 2)):
                 pose = _stirred(sides[side][0], frame)
                 taken, _ = timed(lambda: quick[side].render(views, pose))  # noqa: B023 - called at once
@@ -146,7 +146,7 @@ def _compare(context: Context, subject: Subject, feature: Feature, frames: int) 
 
 
 def unmoved(context: Context, subject: Subject, frames: int) -> dict[str, Any]:
-    """Passes and time of a frame where everything moved and of one where nothing did."""
+    """Return passes and times of frames after a motion, and of the same frames drawn once more."""
     size = (subject.views(0)[0].width, subject.views(0)[0].height)
     with Renderer(subject.scene, size=size, views=2, context=context) as renderer:
         moved: list[tuple[float, float]] = []
@@ -169,14 +169,14 @@ def unmoved(context: Context, subject: Subject, frames: int) -> dict[str, Any]:
 
 
 def _buffers() -> int:
-    """GL buffers that exist."""
+    """Return the number of GL buffers."""
     gc.collect()
-    # type(), not isinstance(): others leave proxies of what is gone, which cannot be asked
+    # type(), not isinstance(), which fails for dead weak proxies
     return sum(issubclass(type(item), moderngl.Buffer) for item in gc.get_objects())
 
 
 def _bound(splats: Splats, skeleton: Skeleton, influences: int) -> Avatar:
-    """Everything rides the first joint; further slots are there and weigh nothing."""
+    """Bind all splats to the first joint; the other ``influences - 1`` weights are 0."""
     joints = np.zeros((len(splats), influences), np.uint16)
     weights = np.zeros((len(splats), influences), np.float32)
     weights[:, 0] = 1

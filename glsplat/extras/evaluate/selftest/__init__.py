@@ -1,1 +1,1 @@
-"""The parts of ``glsplat selftest``: every path against float64, contexts, memory, speed."""
+"""Parts of ``glsplat selftest``: every path against float64, contexts, memory, speed."""

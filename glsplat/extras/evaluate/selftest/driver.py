@@ -1,4 +1,4 @@
-"""What the driver is and chooses, what memory it uses, and whether its contexts can be made and lost."""
+"""Facts about the driver, its memory, and tests of creating and losing contexts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from glsplat.renderer import Renderer
 
 _ROUNDS = 50
 _SETTLED = 20  # rounds after which a driver's caches are filled
-_MAX_GROWTH = 1.1  # of the process from then on; one lost scene a round would be 1.5 and more
+_MAX_GROWTH = 1.1  # of the process's memory from then on; a leak of one scene per round gives 1.5 and more
 _SPLATS = 20_000
 _SIZE = (64, 64)
 _LIMITS = (
@@ -32,12 +32,12 @@ _LIMITS = (
     "GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS", "GL_MAX_COMPUTE_WORK_GROUP_INVOCATIONS", "GL_SUBPIXEL_BITS",
 )  # fmt: skip
 _VARIABLES = ("GALLIUM", "LIBGL", "MESA", "GLSPLAT", "__GL", "__EGL", "CUDA_VISIBLE", "DISPLAY", "WAYLAND")
-# GL_NVX_gpu_memory_info: available; GL_ATI_meminfo: free for textures. KiB
+# KiB; GL_NVX_gpu_memory_info: available memory; GL_ATI_meminfo: free for textures
 _FREE_MEMORY = {"GL_NVX_gpu_memory_info": 0x9049, "GL_ATI_meminfo": 0x87FC}
 
 
 def facts(context: Context) -> dict[str, Any]:
-    """Return machine, driver, probed abilities, limits, and what a renderer of a pair chooses by default."""
+    """Return machine, driver, probed abilities, limits, and the choices of a default renderer of a pair."""
     info, views = context.ctx.info, _pair()
     with Renderer(cloud(), size=_SIZE, views=2, context=context) as renderer:
         renderer.render(views)
@@ -58,7 +58,7 @@ def facts(context: Context) -> dict[str, Any]:
 
 
 def memory(context: Context) -> dict[str, Any]:
-    """Return bytes of the process, free by the driver's extension, and used by ``nvidia-smi``, where known."""
+    """Return bytes of memory: of the process, free (driver's extension) and used (``nvidia-smi``), if known."""
     found: dict[str, Any] = {"process": resident()}
     with context:
         get = gl_functions(context.ctx)("GetIntegerv", None, ctypes.c_uint, ctypes.POINTER(ctypes.c_int))
@@ -77,7 +77,7 @@ def memory(context: Context) -> dict[str, Any]:
 
 
 def resident() -> int | None:
-    """Return the bytes of memory of this process; None where the system does not tell (only Linux does)."""
+    """Return the bytes of memory of this process; None except on Linux."""
     try:
         return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
@@ -85,9 +85,9 @@ def resident() -> int | None:
 
 
 def context_cases(tick: Callable[[float], object]) -> list[Case]:
-    """Return the cases of contexts: lost while in use; made 50 times, and what is left of them.
+    """Return the cases of contexts: one lost while in use; 50 created in turn, with their memory.
 
-    Run them while no other context is alive: with one, Mesa's zink (22.3.6) keeps 4 MB of every renderer.
+    Run them while no other context exists: else Mesa's zink (22.3.6) keeps 4 MB of every renderer.
     """
 
     def refused(_: Context) -> Outcome:
@@ -123,7 +123,7 @@ def context_cases(tick: Callable[[float], object]) -> list[Case]:
 
 
 def _one_life(lost: bool) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Return a picture and the memory of a new context; ``lost``: it is released before its renderer."""
+    """Return a picture and the memory of a new context, which is released before its renderer if ``lost``."""
     context = create_context()
     renderer = Renderer(cloud(_SPLATS), size=_SIZE, views=2, context=context)
     image, used = renderer.render(_pair()), memory(context)

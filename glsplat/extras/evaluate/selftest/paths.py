@@ -1,4 +1,4 @@
-"""Contract scenes on every path of the renderer against float64, at the gates of docs/conventions.md."""
+"""Test contract scenes on every path of the renderer against float64, at the gates of docs/conventions.md."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _SIZE = (96, 64)
 _WALL_EDGE_X = 0.137  # metres; no pixel centre of the views is within 0.1 pixels of it
 _WALL_COLOUR = (200, 60, 20)
 _DISTANCE = 3.0  # metres from the left eye to the plane z = 0
-_NEARER_M = 0.05  # of the right eye
+_NEARER_M = 0.05  # by which the right eye is nearer
 
 
 @dataclass(frozen=True)
 class RenderPath:
-    """One combination of the alternatives that a renderer chooses from by its driver."""
+    """One combination of the alternatives from which a renderer chooses by its driver."""
 
     shape: str = "quad"
     fetch: str = "attributes"
@@ -60,7 +60,7 @@ class RenderPath:
 
 
 class _World(NamedTuple):
-    """A scene, and its splats for the reference."""
+    """A scene with its posed splats for the reference."""
 
     scene: Scene
     posed: reference.Posed
@@ -71,7 +71,7 @@ class _World(NamedTuple):
 
 @dataclass(frozen=True)
 class ContractScene:
-    """A scene that can be made with any number of splats, so that a failure can be reduced."""
+    """A scene with any number of splats, so that a failure can be reduced."""
 
     name: str
     splats: int
@@ -125,7 +125,7 @@ def _tried(context: Context, scene: ContractScene, path: RenderPath, count: int)
 
 
 def _drawn(context: Context, scene: ContractScene, path: RenderPath, count: int) -> Outcome:
-    """Draw from elsewhere, then twice from the views; the pictures have to be equal, and as in float64."""
+    """Draw the views before and after other views; the pictures have to be equal, and within the gate of float64."""
     world, views = scene.make(count), _views(_DISTANCE)[: path.views]
     elsewhere = _views(_DISTANCE - 0.4)[: path.views]
     config = path.config(world.output)
@@ -138,7 +138,7 @@ def _drawn(context: Context, scene: ContractScene, path: RenderPath, count: int)
     if world.output == "uint8":
         expected = np.clip(expected, 0, 1)
     error = Difference.of(image, expected, flip=False)
-    seen = expected[..., 3] > 0.01  # elsewhere the quotient says little
+    seen = expected[..., 3] > 0.01  # depth is divided by alpha
     off = float(np.abs(depth - expected_depth)[seen].mean()) if seen.any() else 0.0
     faults = [
         *(["not the bytes of the first time"] if not np.array_equal(first, image) else []),
@@ -153,7 +153,7 @@ def _views(distance: float) -> list[Camera]:
     head[2, 3] = distance
     left, right = stereo_cameras(head, 0.2, size=_SIZE, background=(0.1, 0.3, 0.2))
     nearer = right.viewmat.copy()
-    nearer[2, 3] -= _NEARER_M  # so that the eyes differ in depth, too
+    nearer[2, 3] -= _NEARER_M  # the eyes differ in depth, too
     return [left, replace(right, viewmat=nearer)]
 
 
@@ -205,7 +205,7 @@ def _lit(count: int) -> _World:
 def _before_wall(count: int) -> _World:
     splats = cloud(count)
     means = splats.means.copy()
-    means[np.abs(means[:, 2]) < 1e-2, 2] = 1e-2  # a mean in the wall would be decided by rounding
+    means[np.abs(means[:, 2]) < 1e-2, 2] = 1e-2  # rounding would decide whether a mean in the wall is visible
     splats = replace(splats, means=means)
     return _World(Scene([Item(splats), Item(_wall())]), reference.rest(splats), splats, wall=True)
 
@@ -228,4 +228,4 @@ SCENES = (
     ContractScene("light", 300, _lit),
     ContractScene("mesh", 300, _before_wall),
 )
-"""The simplest first."""
+"""Scenes, simplest first."""

@@ -1,4 +1,4 @@
-"""The largest static scene that keeps a display's rate."""
+"""Find the largest static scene that keeps a display's rate."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from glsplat.renderer import Renderer
 from glsplat.skinning.skin import Skin
 
 _FEWEST, _MOST = 1_000, 8_192_000  # splats
-_HALVINGS = 3  # of the interval between the last that keeps the rate and the first that does not
+_HALVINGS = 3  # of the interval between the largest scene that keeps the rate and the smallest that does not
 
 
 def frame_ms(context: Context, subject: Subject, frames: int) -> float:
-    """Return the median milliseconds of ``frames`` frames of a moving pair, 8 bit and read back, after one more."""
+    """Return the median ms of ``frames`` frames of a moving pair, 8 bit and read back, after one warm-up frame."""
     with Renderer(subject.scene, size=(subject.size, subject.size), views=2, context=context) as renderer:
         times = []
         for frame in range(frames + 1):
@@ -34,7 +34,7 @@ def largest_scene(
 ) -> dict[str, Any]:
     """Return the most splats whose pair of ``size``² keeps ``hertz``: {"splats" (0: none), "size", "hertz", "tried"}.
 
-    The splats are those of the default avatar at rest, made more or fewer with the same area in all.
+    The splats are those of the default avatar at rest, resampled to the same total area.
     """
     avatar, tried = default_avatar(), {}
 
@@ -54,9 +54,9 @@ def largest_scene(
 
 
 def resampled(avatar: Avatar, count: int, seed: int = 0) -> Avatar:
-    """Return the avatar with another number of splats and the same area in all: enlarged, or several for each.
+    """Return the avatar with ``count`` splats of the same total area: fewer larger ones, or copies of smaller ones.
 
-    For timing only: copies lie beside each other at random, in the plane of the splat they come from.
+    For timing only: copies are randomly offset within their splat.
     """
     have = len(avatar.splats)
     rng = np.random.default_rng(seed)

@@ -1,1 +1,1 @@
-"""Stiff and extreme cases: each with its stated behaviour, run and judged."""
+"""Extreme inputs with a stated behaviour, each tested."""

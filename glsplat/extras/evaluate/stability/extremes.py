@@ -1,4 +1,4 @@
-"""Extreme sizes, views and places, and the poses that a room extrapolates: cases of a report, run."""
+"""Cases of a report: extreme sizes, views and places, and the poses that a room extrapolates."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
 LARGEST = 8192
-"""Pixels a side of the largest target that every driver of OpenGL 4 has."""
+"""Largest side of a target, in pixels, of every driver of OpenGL 4."""
 
 MILLION = 10**6
 
 _EXACT = "as float64 has it"
 _NEEDLE_ERROR = 0.02
-_SAMPLES_S = 0.05  # between the two samples that a speed is measured from
+_SAMPLES_S = 0.05  # between the two samples that give the speed
 _MAX_TURN, _MAX_STEP_M = 0.5, 0.3  # radians of a joint and metres of the root that a room extrapolates at most
 
 
@@ -47,7 +47,7 @@ def all_cases() -> list[Case]:
 
 
 def extreme_cases() -> list[Case]:
-    """Whole frames at the limits of sizes, views and places; rooms, where that extra is installed."""
+    """Return cases of whole frames at the limits of sizes, views and places, and of rooms if installed."""
     few = cloud()
     pair = list(stereo_cameras(head(3.0), 0.2, size=(1, 1)))
     wide = [picture_case(f"{fov:g} degrees of view", "300 splats", _EXACT, few, [camera(fov=fov)])
@@ -70,7 +70,7 @@ def extreme_cases() -> list[Case]:
 
 
 def _million(context: Context) -> Outcome:
-    """The middle pixel of a camera that sees all splats inside it."""
+    """Check the middle pixel, which contains all splats."""
     rng, view = np.random.default_rng(2), camera(15)
     z = np.sort(rng.uniform(-0.5, 0.5, MILLION))[::-1]
     means = np.stack([*rng.uniform(-1e-3, 1e-3, (2, MILLION)), z], axis=1)
@@ -95,7 +95,7 @@ def _scales(context: Context) -> Outcome:
 
 
 def _needle(context: Context) -> Outcome:
-    """Its covariance is beyond float32: it has a bound of its own."""
+    """Check a splat whose covariance exceeds float32, with its own bound."""
     found = _sized(context, [1e4, 1e-3, 1e-3])
     return Outcome((found.error or 0.0) <= _NEEDLE_ERROR, found.error, "of 1", found.seen)
 

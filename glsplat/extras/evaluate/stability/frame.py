@@ -1,4 +1,4 @@
-"""Stiff and extreme inputs: each has a stated behaviour (docs/conventions.md) and is run to see whether it holds."""
+"""Extreme inputs of a frame, each with a stated behaviour (docs/conventions.md) that is tested."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ SIZE = 64
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case did: whether it behaved as stated, how far it was from float64, and in words."""
+    """The outcome of a case."""
 
-    held: bool
-    error: float | None  # the largest, in ``unit``; None where nothing is compared
+    held: bool  # whether it behaved as stated
+    error: float | None  # the largest against float64, in ``unit``; None: nothing is compared
     unit: str = ""
-    seen: str = ""
-    splats: int | None = None  # fewest of a failure that was reduced
+    seen: str = ""  # in words
+    splats: int | None = None  # fewest splats that still fail
 
 
 @dataclass(frozen=True)
 class Case:
-    """One hard input."""
+    """One extreme input with its stated behaviour and its test."""
 
     group: str
     name: str
@@ -45,12 +45,12 @@ class Case:
 
 
 def judge(cases: Sequence[Case], context: Context) -> list[dict[str, Any]]:
-    """Run every case; one that raises has failed, whatever it raised."""
+    """Run every case and return its row; a case that raises any exception has failed."""
     rows = []
     for case in cases:
         try:
             outcome = case.check(context)
-        except Exception as error:  # the table has to say so and go on
+        except Exception as error:
             outcome = Outcome(False, None, seen=f"{type(error).__name__}: {error}")
         rows.append(
             {
@@ -69,7 +69,7 @@ def judge(cases: Sequence[Case], context: Context) -> list[dict[str, Any]]:
 
 
 def camera(width: int = SIZE, height: int | None = None, fov: float = PAPER_FOV) -> Camera:
-    """Three metres in front of the origin; square without ``height``."""
+    """Return a camera three metres in front of the origin; square without ``height``."""
     height = width if height is None else height
     return Camera(look_at((0, 0, 3.0), (0, 0, 0)), pinhole(width, height, fov), width, height)
 
@@ -77,13 +77,13 @@ def camera(width: int = SIZE, height: int | None = None, fov: float = PAPER_FOV)
 def renderer(
     scene: SceneLike, context: Context, size: tuple[int, int] = (SIZE, SIZE), views: int = 1, **config: Any
 ) -> Probe:
-    """One whose pictures are the float target."""
+    """Return a renderer whose pictures are the 32F target."""
     settings = with_fields(RenderConfig(output="float32", target="32f"), **config)
     return Probe(scene, size=size, views=views, config=settings, context=context)
 
 
 def cloud(count: int = 300, degree: int = 0, centre: Sequence[float] = (0, 0, 0)) -> Splats:
-    """Anisotropic splats of mixed opacity around ``centre``."""
+    """Return random anisotropic splats of mixed opacity around ``centre``."""
     rng = np.random.default_rng(11)
     sh = rng.normal(0, 0.3, (count, (degree + 1) ** 2, 3))
     return Splats.create(
@@ -98,7 +98,7 @@ def cloud(count: int = 300, degree: int = 0, centre: Sequence[float] = (0, 0, 0)
 def picture_case(
     name: str, input_: str, behaviour: str, scene: Splats, views: Sequence[Camera], expected: Splats | None = None
 ) -> Case:
-    """The picture of ``scene`` is that of ``expected`` (itself) in float64, within the 32F gate."""
+    """Return a case: the picture of ``scene`` is that of ``expected`` (default: itself) in float64, by the 32F gate."""
 
     def check(context: Context) -> Outcome:
         with renderer(scene, context, (views[0].width, views[0].height), len(views)) as drawn:
@@ -114,7 +114,7 @@ def compared(image: NDArray[np.float32], expected: NDArray[np.float64]) -> Outco
 
 
 def frame_cases() -> list[Case]:
-    """Single splats that are hard, splats that must not be drawn, and whole frames."""
+    """Return cases of single extreme splats, of splats that must not be drawn, and of whole frames."""
     exact = "as float64 has it"
     hard: dict[str, tuple[dict[str, Any], str]] = {
         "needle 1e6:1": ({"scales": [[1.0, 1e-6, 1e-6]], "quats": [[0.9, 0.1, 0.3, 0.2]]}, exact),
@@ -195,7 +195,7 @@ def _one(changes: dict[str, Any]) -> Splats:
         "rgb": [[1.0, 0.2, 0.1]],
         **changes,
     }
-    sh = (np.array(values.pop("rgb"))[:, None] - 0.5) / SH_C0  # as rgb it would be refused where it is far from 0 to 1
+    sh = (np.array(values.pop("rgb"))[:, None] - 0.5) / SH_C0  # ``rgb`` accepts no values far from 0 to 1
     return Splats.create(**values, sh=sh)
 
 
@@ -237,7 +237,7 @@ def _repeats(context: Context) -> Outcome:
 
 
 def refused(kind: type[GlsplatError], words: str, make: Callable[[], object]) -> Callable[[Context], Outcome]:
-    """A check that ``make`` raises ``kind`` with ``words`` in its message."""
+    """Return a check that ``make`` raises ``kind`` with ``words`` in its message."""
 
     def check(_: Context) -> Outcome:
         try:
@@ -250,7 +250,7 @@ def refused(kind: type[GlsplatError], words: str, make: Callable[[], object]) ->
 
 
 def head(distance: float) -> NDArray[np.float64]:
-    """Return the pose [4, 4] of a head so many metres in front of the origin."""
+    """Return the pose [4, 4] of a head ``distance`` metres in front of the origin."""
     pose = np.eye(4)
     pose[2, 3] = distance
     return pose

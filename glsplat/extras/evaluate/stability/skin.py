@@ -1,4 +1,4 @@
-"""Stiff and extreme poses, weights and rigs: the cases of docs/skinning.md, run."""
+"""Extreme poses, weights and rigs: the cases of docs/skinning.md."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
 POSITION, COVARIANCE = 1e-5, 1e-4  # gates of docs/skinning.md: metres, relative
-SWEEP = 0.5  # degrees a step
+SWEEP = 0.5  # degrees per step
 Row = tuple[str, str, str, Callable[[Context], Outcome]]
 _TWIN = "as the float64 twin, rotations stay rotations"
 
 
 def skin_cases() -> list[Case]:
-    """Poses, weights and rigs at their limits."""
+    """Return cases of poses, weights and rigs at their limits."""
     rows = [*_pose_cases(), *_rig_cases(), *_refusals(), *_weight_cases(), *_expression_cases()]
     return [Case("skinning", *row) for row in rows]
 
@@ -115,7 +115,7 @@ def _weight_cases() -> list[Row]:
 
 
 def chain(count: int, joints: int, step: float = 0.05, seed: int = 5) -> Avatar:
-    """Splats around a chain of joints along x, each bound to four joints nearby with random weights."""
+    """Return splats around a chain of joints along x, each bound to four joints nearby with random weights."""
     rng = np.random.default_rng(seed)
     centres = np.stack([step * np.arange(joints), np.zeros(joints), np.zeros(joints)], -1)
     skeleton = Skeleton.from_joints(tuple(f"joint{i}" for i in range(joints)), np.arange(joints) - 1, centres)
@@ -135,7 +135,7 @@ def _turned(joints: int, joint: int, axis: ArrayLike, degrees: float) -> Pose:
 
 
 def expressive(limb: Avatar) -> Avatar:
-    """Return the avatar with six shapes, each of which moves and bends a random half of its splats."""
+    """Return the avatar with six shapes; each moves and bends a random half of the splats."""
     rng, count = np.random.default_rng(8), len(limb.splats)
     splats, targets = np.nonzero(rng.random((count, 6)) < 0.5)
     moves, bends = rng.normal(0, 0.02, (len(splats), 3)), rng.normal(0, 0.4, (len(splats), 2, 3))
@@ -172,7 +172,7 @@ def _expression_cases() -> list[Row]:
 
 
 def _alike(one: Avatar, pose: Pose, other: Avatar, its: Pose) -> Callable[[Context], Outcome]:
-    """Two avatars in two poses give the same bytes."""
+    """Return a check that two avatars in two poses give the same bytes."""
 
     def check(context: Context) -> Outcome:
         with renderer(one, context) as drawn, renderer(other, context) as wanted:
@@ -186,7 +186,7 @@ def _alike(one: Avatar, pose: Pose, other: Avatar, its: Pose) -> Callable[[Conte
 def _posed(
     avatar: Avatar, poses: Iterable[Pose], covariance: float = COVARIANCE, proper: bool = True
 ) -> Callable[[Context], Outcome]:
-    """The skin pass against reference.skin, in every pose; ``proper``: and splats turn without being bent."""
+    """Return a check of the skin pass against reference.skin in all poses; ``proper``: splats only rotate."""
 
     def check(context: Context) -> Outcome:
         position = shape = 0.0
@@ -272,7 +272,7 @@ def _bad_weight(context: Context) -> Outcome:
     hidden[7], weights[7] = 0, np.nan
     with renderer(replace(avatar, splats=replace(avatar.splats, opacities=hidden)), context) as drawn:
         expected = drawn.render([camera()], pose)
-    # past the checks of Skin, as from an old pickle
+    # bypass the checks of Skin, as an old pickle does
     skin = restored(Skin, {"joints": avatar.skin.joints, "weights": weights, "lost": 0.0, "repaired": 0})
     parts = {
         "splats": avatar.splats,
@@ -312,7 +312,7 @@ def _singular() -> Skeleton:
 
 
 def _largest(values: NDArray[Any]) -> float:
-    """The largest absolute value; what is not finite counts as infinite."""
+    """Return the largest absolute value; NaN counts as infinite."""
     return float(np.nan_to_num(np.abs(values), nan=np.inf).max(initial=0))
 
 
@@ -322,6 +322,6 @@ def _covariances(shapes: NDArray[np.floating]) -> F64:
 
 
 def _rotations(splats: Splats, shapes: NDArray[np.floating]) -> F64:
-    """R_i [N, 3, 3]: what took R(q) diag(s) to ``shapes``."""
+    """Return the R_i [N, 3, 3] with ``shapes`` = R_i R(q) diag(s)."""
     turned = shapes / splats.scales.astype(np.float64)[:, None, :]
     return turned @ np.swapaxes(reference.quaternion_matrices(splats.quats), 1, 2)

@@ -1,4 +1,4 @@
-"""Extreme head and hands: the rows of docs/tracking.md, run. There is no float64 twin; a row says what it measured."""
+"""Extreme head and hands: the cases of docs/tracking.md. There is no float64 twin; rows name their measure."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from glsplat.tracking.solve.limits import violation
 from glsplat.tracking.solve.quat import mul, to_quat, yaw_quat
 
 RATE = 72.0
-LIMIT = 0.5  # of what ``violation`` says: rounding of the clamp
-STILL = 2e-3  # metres a joint moves from sample to sample at the most where the body is at rest
+LIMIT = 0.5  # of ``violation``: rounding of the clamp
+STILL = 2e-3  # metres that a joint of a body at rest moves per sample, at most
 
 Vec = tuple[float, float, float]
 Samples = Callable[["_User"], list[Sample]]
@@ -31,7 +31,7 @@ Judge = Callable[["_Run", "_User"], Outcome]
 
 @dataclass(frozen=True)
 class _User:
-    """Where head and hands of somebody are who stands at the origin and faces +z."""
+    """Head and hands of a user who stands at the origin and faces +z."""
 
     body: Body
 
@@ -40,7 +40,7 @@ class _User:
         return (0.0, self.body.eye_height, 0.13)
 
     def hand(self, side: int, height: float = 0.62, forward: float = 0.15) -> Vec:
-        """``height`` as a share of the eyes' height."""
+        """Return the place of a hand; ``height`` is a share of the eyes' height, ``forward`` in metres."""
         return (0.25 if side == 0 else -0.25, height * self.body.eye_height, forward)
 
     def sample(
@@ -65,7 +65,7 @@ class _User:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What a tracker made of samples."""
+    """A tracker's output for samples."""
 
     joints: NDArray[np.float64]  # [T, 55, 3]
     rotations: NDArray[np.float64]  # [T, 55, 3]
@@ -75,19 +75,19 @@ class _Run:
 
     @property
     def sound(self) -> bool:
-        """Finite and inside the limits of the joints, whatever came in."""
+        """Whether all poses are finite and within the joints' limits."""
         return bool(np.isfinite(self.joints).all() and np.isfinite(self.rotations).all()) and self.limits < LIMIT
 
     def said(self, flag: str) -> bool:
         return any(flag in flags for flags in self.flags)
 
     def restless(self) -> float:
-        """Metres that any joint moves a sample, in the last fifteen."""
+        """Return the largest movement of a joint per sample in the last fifteen, metres."""
         return float(np.abs(np.diff(self.joints[-15:], axis=0)).max(initial=0))
 
 
 def tracking_cases() -> list[Case]:
-    """Arms, heads, devices and clocks at their limits."""
+    """Return cases of arms, heads, devices and clocks at their limits."""
     rows = [*_arms(), *_heads(), *_devices(), *_clocks(), *_users()]
     return [
         Case("tracking", name, given, stated, _tracked(samples, judge)) for name, given, stated, samples, judge in rows
@@ -203,7 +203,7 @@ def _heads() -> list[_Row]:
         return [user.sample(t, head=(x, y - 0.02 * (1 - math.cos(6 * t)), z)) for t in _times(3)]
 
     def knees(run: _Run, user: _User) -> Outcome:
-        bend = np.linalg.norm(run.rotations[:, 4], axis=1)  # of the left knee: straight again and again
+        bend = np.linalg.norm(run.rotations[:, 4], axis=1)  # of the left knee
         fastest = float(np.degrees(np.abs(np.diff(bend)).max())) * RATE
         return Outcome(fastest < 400, fastest, "degrees/s of the knee", _words(run))
 
@@ -347,6 +347,6 @@ def _times(seconds: float) -> list[float]:
 
 
 def _words(run: _Run) -> str:
-    """All that the tracker said, in the order it began to, without what is no trouble."""
+    """Return the tracker's flags in order of appearance, without "planted" and "frozen"."""
     said = dict.fromkeys(flag for flags in run.flags for flag in flags if not flag.endswith(("planted", "frozen")))
     return ", ".join(said) or "nothing to tell"

@@ -76,7 +76,7 @@ _BURST_PACKETS = 64  # a picture of 70 kB; queues before most links hold as many
 
 
 class BurstPacer(QuicPacketPacer):
-    """Sends a picture at once, as TCP does after a pause: each packet that waits for a timer waits for a busy loop."""
+    """Sends a picture at once, as TCP does after a pause: a packet's timer would wait for a busy loop."""
 
     def update_rate(self, congestion_window: int, smoothed_rtt: float) -> None:
         """Spread the window over a round trip, except for a burst."""
@@ -111,13 +111,13 @@ class ConnectionProtocol(QuicConnectionProtocol):
 
 
 class ConnectionServer(QuicServer):
-    """A QUIC server that knows its connections by their identifiers, and validates addresses by retry packets."""
+    """A QUIC server that finds connections by their identifiers and validates addresses by retry packets."""
 
     def __init__(self, configuration: Any, create_protocol: Callable[..., QuicConnectionProtocol]) -> None:
         super().__init__(configuration=configuration, create_protocol=create_protocol, retry=True)
 
     def connection(self, identifier: bytes) -> QuicConnectionProtocol | None:
-        """Return the connection with that identifier, if there is one."""
+        """Return the connection with that identifier; None if there is none."""
         return self._protocols.get(identifier)
 
     def connections(self) -> set[QuicConnectionProtocol]:

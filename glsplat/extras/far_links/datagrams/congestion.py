@@ -29,7 +29,7 @@ _PRIOR_LOSS, _PRIOR_PACKETS = 0.005, 200.0  # before any packet was sent
 
 
 class PictureWindow(QuicCongestionControl):
-    """``allow`` sets the window from the link's rate."""
+    """A congestion window that ``allow`` sets from the link's rate."""
 
     def __init__(self, *, max_datagram_size: int) -> None:
         super().__init__(max_datagram_size=max_datagram_size)
@@ -42,7 +42,7 @@ class PictureWindow(QuicCongestionControl):
 
     @property
     def loss(self) -> float:
-        """Return the lost share of the packets."""
+        """Lost share of the packets."""
         return self._lost / self._sent
 
     def allow(self, rate: float, nbytes: int) -> None:
@@ -51,7 +51,7 @@ class PictureWindow(QuicCongestionControl):
         self.congestion_window = round(max(_MIN_PACKETS * self._size, _GAIN * held + nbytes))
 
     def settled(self, number: int) -> bool:
-        """Return whether that packet and all before it are known to have arrived or to be lost."""
+        """Return whether packet ``number`` and all before it are known to have arrived or to be lost."""
         return next(iter(self._outstanding), number + 1) > number
 
     def lost_of(self, first: int, last: int) -> int:

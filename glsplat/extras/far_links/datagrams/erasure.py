@@ -1,8 +1,7 @@
-"""Erasure code: parity pieces, any of which make up for as many pieces that were lost.
+"""Erasure code: any parity pieces replace as many lost pieces.
 
 A systematic Reed-Solomon code over GF(256) with a Cauchy matrix (Bloemer et al.: An XOR-Based Erasure-Resilient Coding
-Scheme, ICSI TR-95-048, 1995): every square part of such a matrix has an inverse. Twin:
-web/stream/erasure.js.
+Scheme, ICSI TR-95-048, 1995): every square part of such a matrix has an inverse. Twin: web/stream/erasure.js.
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST = 255
-"""Pieces and parity pieces of one code at most."""
+"""Most pieces and parity pieces of one code together."""
 _POLYNOMIAL = 0x11D  # x^8 + x^4 + x^3 + x^2 + 1, of which 2 is a generator
 
 
 def _tables() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Products [256, 256] and inverses [256]."""
+    """Return products [256, 256] and inverses [256] in GF(256)."""
     power, log = np.zeros(510, np.uint8), np.zeros(256, np.int64)
     value = 1
     for exponent in range(255):
@@ -33,16 +32,16 @@ def _tables() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 
 _PRODUCT, _INVERSE = _tables()
-_TIMES = [row.tobytes() for row in _PRODUCT]  # for bytes.translate, which is ten times as fast as a look-up of NumPy's
+_TIMES = [row.tobytes() for row in _PRODUCT]  # for bytes.translate, ten times as fast as NumPy's look-up
 
 
 def _factors(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """[R, C] factors of ``columns`` (pieces) in ``rows`` (parity pieces): 1 / (x + y), x = 255 - row, y = column."""
+    """Return factors [R, C] of ``columns`` (pieces) in ``rows`` (parity): 1 / (x + y), x = 255 - row, y = column."""
     return _INVERSE[(255 - rows)[:, None] ^ columns[None, :]]
 
 
 def parity_of(pieces: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
-    """[count, N] parity pieces of ``pieces`` [K, N]; K + count is at most ``MOST``."""
+    """Return parity pieces [count, N] of ``pieces`` [K, N]; K + count is at most ``MOST``."""
     assert len(pieces) + count <= MOST
     out = np.empty((count, pieces.shape[1]), np.uint8)
     factors = _factors(np.arange(count), np.arange(len(pieces)))
@@ -53,7 +52,7 @@ def parity_of(pieces: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
 
 
 def _summed(pieces: list[bytes], factors: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """[N] the pieces times their factors, added up."""
+    """Return the sum [N] of pieces times their factors."""
     out = np.zeros(len(pieces[0]), np.uint8)
     for piece, factor in zip(pieces, factors.tolist(), strict=True):
         out ^= np.frombuffer(piece.translate(_TIMES[factor]), np.uint8)
@@ -61,7 +60,7 @@ def _summed(pieces: list[bytes], factors: NDArray[np.uint8]) -> NDArray[np.uint8
 
 
 def restored(pieces: NDArray[np.uint8], missing: list[int], parity: Mapping[int, NDArray[np.uint8]]) -> None:
-    """Fill the ``missing`` rows of ``pieces`` [K, N] from as many rows of ``parity``, by their numbers."""
+    """Fill the ``missing`` rows of ``pieces`` [K, N] from as many rows of ``parity``, a mapping from row number."""
     if not missing:
         return
     rows = np.array(sorted(parity)[: len(missing)])

@@ -29,7 +29,7 @@ class Datagrams(Feature):
         self.listener: DatagramListener | None = None  # until the server starts
 
     async def start(self, server: ServerView) -> None:
-        """Listen. Raises GlsplatError where the port is in use."""
+        """Listen. Raises GlsplatError if the port is in use."""
         from glsplat.extras.far_links.datagrams.listener import DatagramListener
 
         self._clock, self.listener = server.clock, DatagramListener(server.clock)
@@ -41,7 +41,7 @@ class Datagrams(Feature):
             await self.listener.close()
 
     def client_opened(self, client: ClientStream, asked: RequestedOptions) -> None:
-        """Offer the client datagrams once its link is worth it."""
+        """Offer the client datagrams once its link gains from them."""
         assert self.listener is not None
         client.offer(SecondWay(self.listener, client.session, client.address, self._clock, client.wake))
 

@@ -29,7 +29,7 @@ _MAX_STREAM_BYTES = 16 * 1024  # of a client's stream: a CONNECT and its setting
 _CONNECTION_ID_BYTES = 8
 _LONG_HEADER = 0x80  # bit of a packet's first byte
 
-for _name in ("quic", "http3"):  # aioquic logs a line for every connection, with the client's words
+for _name in ("quic", "http3"):  # aioquic logs a line for every connection, with text of the client
     logging.getLogger(_name).setLevel(logging.CRITICAL)
 
 
@@ -63,7 +63,7 @@ class DatagramListener:
         server.connection_made(self._socket)  # type: ignore[arg-type]  # only sendto and close are called
 
     def offer(self, address: str, user: PathUser) -> dict[str, str] | None:
-        """Return the path of one connection and the certificate's hash for the client; None while the port is shut."""
+        """Return the URL path and certificate hash for the client's connection; None while the port is shut."""
         if self._socket is None or self._socket.shut:
             return None
         self._renew()
@@ -134,7 +134,7 @@ class _Guarded(ConnectionServer):
         self._address = ""  # of the datagram in hand
 
     def received(self, data: bytes, addr: Any) -> bool:
-        """Process a UDP datagram, which may open an offered connection; return whether it belonged to an open one."""
+        """Process a UDP datagram, which may open an offered connection; return whether its connection was open."""
         path = self.connection(_destination(data))
         if path is None:
             if (

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 LASTS = 10.0
-"""Seconds for which a secret is good."""
+"""Seconds for which a secret is valid."""
 
-_KNOCKS = 48  # packets from unknown connections for each offer: a client needs 2 to 4, and repeats lost ones
+_KNOCKS = 48  # packets of unknown connections parsed for each offer: a client needs 2 to 4, and repeats lost ones
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ class Offers(Generic[T]):
         return secret
 
     def take(self, secret: str, address: str) -> T | None:
-        """Return the owner of a secret, once; None for one that is unknown, used, expired or of another address."""
+        """Return a secret's owner, once; None if the secret is unknown, used, expired or of another address."""
         self._expire()
         offer = self._open.get(secret)
         if offer is None or offer.address != address:

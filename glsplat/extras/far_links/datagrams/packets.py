@@ -1,7 +1,7 @@
-"""A picture in datagrams and back (docs/protocol.md, section 5.3). No I/O.
+"""Split a picture into datagrams and join them again (docs/protocol.md, section 5.3). No I/O.
 
-Each datagram has a piece: u8 kind, u8 parity pieces of each group, u16 number of the piece, u32 frame_id, u32 bytes of
-the whole; little endian. Pieces lie in groups, every group with parity of its own: piece i in group i mod G.
+A datagram is a header and a piece. Header, little endian: u8 kind, u8 parity pieces of each group, u16 number of the
+piece, u32 frame_id, u32 bytes of the whole. Piece i is in group i mod G; every group has its own parity.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ import numpy as np
 from glsplat.extras.far_links.datagrams.erasure import MOST, parity_of, restored
 
 PICTURE, PING, REQUEST = 0, 1, 2
-"""Kinds: a piece of a picture; what is to be answered by its own bytes; a piece of a request, of the client's."""
+"""Kinds: a piece of a picture; a ping, which the client returns; a piece of a client's request."""
 PIECE = 1124
-"""Bytes of a piece: with all headers below the 1,200 that every path of QUIC takes (RFC 9000, section 14)."""
+"""Bytes of a piece; with all headers below the 1,200 that every QUIC path carries (RFC 9000, section 14)."""
 LARGEST = 8 * 2**20
-"""Bytes of a picture that is sent so, at most."""
+"""Most bytes of a picture sent by datagrams."""
 NONCE = 8
-"""Bytes before a picture, which are sent back once it is there."""
+"""Bytes before a picture, which the client returns once it arrived."""
 HEAD: struct.Struct = struct.Struct("<BBHII")
-_GROUP = 160  # pieces of a group at most: what is left of MOST is for parity
-_UNFINISHED = 8  # pictures of which pieces are kept
+_GROUP = 160  # most pieces of a group; the rest of MOST is for parity
+_UNFINISHED = 8  # incomplete pictures kept
 
 
 def groups_of(nbytes: int) -> tuple[int, int]:
-    """Pieces and groups of a message of so many bytes."""
+    """Return the pieces and groups of a message of ``nbytes``."""
     pieces = -(-nbytes // PIECE)
     return pieces, -(-pieces // _GROUP)
 
 
 def packets_of(frame_id: int, message: bytes, parity: int, kind: int = PICTURE) -> list[bytes]:
-    """The datagrams of a message with ``parity`` pieces more in each group; those last."""
+    """Return a message's datagrams; the last are ``parity`` pieces for each group."""
     pieces, groups = groups_of(len(message))
     assert 0 < len(message) <= LARGEST and parity <= MOST - _GROUP
     padded = np.zeros((pieces, PIECE), np.uint8)
@@ -56,7 +56,7 @@ class _Unfinished:
         self.lacking = [len(range(group, self.pieces, self.groups)) for group in range(self.groups)]
 
     def add(self, number: int, piece: bytes) -> bool:
-        """Whether it can be put together now."""
+        """Add a piece; return whether the message can now be restored."""
         length = min(PIECE, self.nbytes - number * PIECE) if number < self.pieces else PIECE
         if number >= self.pieces + self.parity * self.groups or len(piece) != length or number in self.data:
             return False
@@ -84,9 +84,9 @@ class _Unfinished:
 
 
 class Assembler:
-    """Datagrams to messages: each is given once, and none that is older than the newest that was whole.
+    """Joins datagrams to messages; drops those older than the newest complete message.
 
-    Those that are longer than ``largest``, or have more than ``parity`` pieces of parity in a group, are none.
+    It also drops messages above ``largest`` bytes, or with more than ``parity`` parity pieces in a group.
     """
 
     def __init__(self, kind: int = PICTURE, largest: int = LARGEST, parity: int = MOST - _GROUP) -> None:
@@ -95,7 +95,7 @@ class Assembler:
         self._unfinished: dict[int, _Unfinished] = {}
 
     def add(self, datagram: bytes) -> tuple[int, bytes] | None:
-        """frame_id and message, where this datagram was the last that was needed."""
+        """Add a datagram; return frame_id and message if it completes one."""
         if len(datagram) <= HEAD.size:
             return None
         kind, parity, number, frame_id, nbytes = HEAD.unpack_from(datagram)

@@ -30,12 +30,12 @@ from glsplat.net.guard.limits import Bucket
 from glsplat.net.messages import MAX_MESSAGE_BYTES
 
 _HANDSHAKE_S = 5.0  # from the first packet to an accepted session
-_GRACE_S = 0.05  # by which a client's answer may follow QUIC's acknowledgement
-_SILENT_S = 1.0  # and four round trips: a path is closed if nothing is heard of a picture for longer
-_UNANSWERED_S = 2.0  # and eight round trips: a client may take as long to answer a picture that QUIC acknowledged
-_MAX_UNANSWERED = 3  # such pictures in a row, after which a path is closed
-_MAX_LOST = 6  # pictures in a row, after which a path is closed
-_PACKETS_PER_S, _PACKET_BURST = 600.0, 2000.0  # that a client may send, and one for each that it was sent
+_GRACE_S = 0.05  # from QUIC's acknowledgement to the client's answer
+_SILENT_S = 1.0  # longest time without news of a picture, or four round trips; then the path is closed
+_UNANSWERED_S = 2.0  # longest wait for the client's answer to an acknowledged picture, or eight round trips
+_MAX_UNANSWERED = 3  # unanswered pictures in a row that close a path
+_MAX_LOST = 6  # lost pictures in a row that close a path
+_PACKETS_PER_S, _PACKET_BURST = 600.0, 2000.0  # limits for a client, plus one for each packet sent to it
 _PACKET_S = 0.25e-3  # usual time to process a packet; a slower packet counts as several
 _MAX_STREAM_BYTES = 32 * 1024  # of all streams: settings and a CONNECT
 _HEADER_BYTES = 60  # of a datagram beside its piece: UDP, IP, QUIC, this protocol
@@ -43,40 +43,40 @@ _HEADER_BYTES = 60  # of a datagram beside its piece: UDP, IP, QUIC, this protoc
 
 @dataclass(slots=True)
 class _SentPicture:
-    """A picture that its client has not answered yet."""
+    """A picture that the client has not answered yet."""
 
     nonce: bytes
     written: float  # seconds
     first: int  # number of its first packet
     parity: int
-    last: int = -1  # number of its last packet; -1: some wait to be sent
-    settled: float = 0.0  # time at which each packet was known to have arrived or to be lost
+    last: int = -1  # number of its last packet; -1: some are unsent
+    settled: float = 0.0  # when every packet was known to have arrived or to be lost
 
 
 class PathUser(Protocol):
-    """What a path reports to its client, on the event loop."""
+    """Callbacks of a path, called on the event loop."""
 
     def opened(self, path: DatagramPath) -> None:
-        """Start to send pictures."""
+        """Start sending pictures."""
 
     def answered(self, payload: bytes) -> None:
-        """Note the answer to a ping, or the nonce of a picture that has arrived."""
+        """Record the answer to a ping, or the nonce of a picture that arrived."""
 
     def heard(self, message: bytes) -> None:
-        """Take a message of the client, as over the WebSocket."""
+        """Accept a message of the client, as over the WebSocket."""
 
     def lost(self, frame_id: int) -> None:
-        """Note a picture that will not arrive."""
+        """Record a picture that will not arrive."""
 
     def unanswered(self, frame_id: int) -> None:
-        """Note a picture that QUIC acknowledged and the client did not."""
+        """Record a picture that QUIC acknowledged and the client did not."""
 
     def closed(self) -> None:
         """Send nothing more."""
 
 
 class DatagramPath(ConnectionProtocol):
-    """``admit`` returns the user that a client's secret belongs to, or None."""
+    """One client's connection for pictures; ``admit`` returns the owner of a secret, or None."""
 
     def __init__(self, quic: Any, stream_handler: Any = None, *, admit: Callable[[str], PathUser | None]) -> None:
         super().__init__(quic, stream_handler)
@@ -99,12 +99,12 @@ class DatagramPath(ConnectionProtocol):
 
     @property
     def accepted(self) -> bool:
-        """Whether it belongs to a client."""
+        """Whether the path belongs to a client."""
         return self._user is not None
 
     @property
     def loss(self) -> float:
-        """Return the lost share of the packets."""
+        """Lost share of the packets."""
         return self._window.loss
 
     def overhead(self, nbytes: int) -> float:
@@ -169,7 +169,7 @@ class DatagramPath(ConnectionProtocol):
             self.end()
 
     def transmit(self) -> None:
-        """Send what the window allows, and note the last packet of each picture."""
+        """Send what the window allows, and record the last packet of each picture."""
         before = self._window.newest
         super().transmit()
         sent = self._window.newest - before
@@ -217,7 +217,7 @@ class DatagramPath(ConnectionProtocol):
         elif isinstance(event, DatagramReceived) or (isinstance(event, DataReceived) and not event.stream_ended):
             return  # no session, or an empty capsule of Chromium (grease)
         else:
-            self.end()  # it closes its session, or opens a stream
+            self.end()  # the client closes its session, or opens a stream
 
     def _open(self, event: HeadersReceived) -> None:
         headers = dict(event.headers)
@@ -243,7 +243,7 @@ class DatagramPath(ConnectionProtocol):
             del self._sent[old]
 
     def _check_pictures(self, now: float) -> None:
-        """Report pictures whose packets have all arrived or are lost, and close a path that is no longer answered."""
+        """Report pictures whose packets all arrived or are lost; close a path that is no longer answered."""
         for frame_id, (_, since) in list(self._awaited.items()):
             if self._user is None or now - since <= max(_UNANSWERED_S, 8 * self._window.trip):
                 break

@@ -1,7 +1,7 @@
-"""A UDP socket on the event loop: read in batches, only while somebody is expected, and shut while it is flooded.
+"""A UDP socket on the event loop: read in batches, only while a client is expected, and shut during a flood.
 
-asyncio's own transport takes one datagram a turn of the loop and cannot be told to stop, so that whoever sends 30,000 a
-second would have the server to himself.
+asyncio's transport reads one datagram a turn of the loop and cannot be paused: a sender of 30,000 datagrams a second
+would block the server.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.listener import bind
 
 _BATCH = 64  # datagrams a turn of the loop
-_LARGEST = 2048  # bytes of one; QUIC's are below 1,500
-_BUFFER = 1 << 20  # bytes that the system keeps, if it lets us
-_STALE = 4096  # datagrams that may wait there: more than a buffer of small ones
-_STRAYS, _AT_ONCE = 1000.0, 3000.0  # datagrams a second, and at once, that are for nobody, before it is shut ...
-_SHUT = 20.0  # ... for so many seconds
+_LARGEST = 2048  # bytes of a datagram; QUIC's are below 1,500
+_BUFFER = 1 << 20  # requested bytes of the system's buffer
+_STALE = 4096  # queued datagrams: more than a buffer of small ones holds
+_STRAYS, _AT_ONCE = 1000.0, 3000.0  # datagrams of no client that shut the socket: a second, and at once
+_SHUT = 20.0  # seconds for which it is shut
 
 
 class UdpSocket:
-    """``received`` says of a datagram and its address whether it was for somebody. ``shut`` is called at a flood."""
+    """Calls ``received``, which returns whether a datagram belongs to a client, and at a flood ``shut``."""
 
     def __init__(
         self, listening: socket.socket, received: Callable[[bytes, Any], bool], shut: Callable[[], None]
@@ -32,15 +32,15 @@ class UdpSocket:
         self._loop = asyncio.get_running_loop()
         self._strays = Bucket.full(_STRAYS, _AT_ONCE, self._loop.time())
         self._reads = self._closed = False
-        self._until = 0.0  # shut
+        self._until = 0.0  # end of the shut time, seconds
 
     @property
     def shut(self) -> bool:
-        """Whether nobody is let in now, because too many datagrams come that are for nobody."""
+        """Whether the socket is shut, because too many datagrams belong to no client."""
         return self._loop.time() < self._until
 
     def listen(self) -> None:
-        """Read from now on; what came before is thrown away."""
+        """Start reading; drop queued datagrams."""
         if self._reads or self._closed or self.shut:
             return
         for _ in range(_STALE):
@@ -50,21 +50,21 @@ class UdpSocket:
         self._loop.add_reader(self._socket.fileno(), self._read)
 
     def rest(self) -> None:
-        """Read nothing: it costs nothing then, whoever sends."""
+        """Stop reading, so that datagrams cost nothing."""
         if self._reads:
             self._reads = False
             self._loop.remove_reader(self._socket.fileno())
 
     def sendto(self, data: bytes, addr: Any) -> None:
-        """Send it, or lose it."""
+        """Send a datagram, or drop it."""
         if not self._closed:
             try:
                 self._socket.sendto(data, addr)
-            except OSError:  # no room, no way there: as on any link
+            except OSError:  # buffer full or no route: lost, as on any link
                 return
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self.rest()
         if not self._closed:
             self._closed = True
@@ -75,7 +75,7 @@ class UdpSocket:
             return self._socket.recvfrom(_LARGEST)
         except BlockingIOError:
             return None
-        except OSError:  # told by the system of one that was sent before
+        except OSError:  # the system reports an error of an earlier send
             return b"", None
 
     def _read(self) -> None:
@@ -92,7 +92,7 @@ class UdpSocket:
 
 
 def bind_udp(host: str, port: int) -> socket.socket:
-    """A UDP socket. Raises GlsplatError (port in use, no such address)."""
+    """Return a bound UDP socket. Raises GlsplatError (port in use, no such address)."""
     listening = bind(host, port, socket.SOCK_DGRAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
     listening.setblocking(False)

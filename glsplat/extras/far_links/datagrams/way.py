@@ -1,4 +1,4 @@
-"""SecondWay: datagrams for the pictures of one client, beside the WebSocket that carries everything else."""
+"""SecondWay: sends one client's pictures by datagrams; everything else uses the WebSocket."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from glsplat.net.session import Session
 
 LONG = 0.008
-"""Round trip in seconds from which datagrams gain: TCP waits that long for a lost packet."""
-_AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until the next offer, their growth factor; most offers
-_GOOD = 200  # pictures after which a path that ends counts as good
+"""Round trip from which datagrams gain, seconds: TCP waits that long for a lost packet."""
+_AGAIN, _LONGER, _TRIES = 15.0, 3.0, 4  # seconds until the next offer, their growth factor, most offers
+_GOOD = 200  # pictures from which a path that ended counts as good
 _HEARD = 64  # queued messages; older ones are dropped
 _WIDEST = 64  # remembered pictures, more than a window has
 
 
 class SecondWay:
-    """Calls ``wake`` when the next picture may be drawn."""
+    """One client's datagram path; calls ``wake`` when the next picture may be drawn."""
 
     def __init__(
         self, listener: DatagramListener, session: Session, address: str, clock: Callable[[], float],
@@ -34,12 +34,12 @@ class SecondWay:
         self._path: DatagramPath | None = None
         self._next, self._pause, self._tries = 0.0, _AGAIN, 0
         self._sent = self._lost = self._before = 0
-        self._newest: deque[int] = deque(maxlen=_WIDEST)  # pictures that went this way
+        self._newest: deque[int] = deque(maxlen=_WIDEST)  # pictures sent by datagrams
         self._heard: deque[bytes] = deque(maxlen=_HEARD)
         self._more = asyncio.Event()
 
     def offer(self) -> dict[str, str] | None:
-        """Return "datagrams" of the next reply, where the client accepts them and its link gains; rarely."""
+        """Return "datagrams" of the next reply if the client accepts them and its link gains; rarely, else None."""
         link, now = self._link, self._clock()
         if not self._session.datagrams or self._path is not None or link is None or not link.known:
             return None
@@ -58,12 +58,12 @@ class SecondWay:
         return link
 
     def link_bytes(self, nbytes: int) -> int:
-        """Return the bytes on the link of a picture of ``nbytes``, by its present way."""
+        """Return the bytes on the link of a picture of ``nbytes``, by datagrams or the WebSocket."""
         path = self._path
         return nbytes if path is None or not path.takes(nbytes) else round(nbytes * path.overhead(nbytes))
 
     def send(self, frame_id: int, picture: bytes) -> bool:
-        """Send a picture; return False where it has to go over the WebSocket."""
+        """Send a picture; return False if it has to use the WebSocket."""
         path, link = self._path, self._link
         if path is None or link is None or not path.takes(len(picture)):
             return False
@@ -73,7 +73,7 @@ class SecondWay:
         return True
 
     def ping(self, payload: bytes) -> bool:
-        """Send a ping; return False where it has to go over the WebSocket."""
+        """Send a ping; return False if it has to use the WebSocket."""
         if self._path is None:
             return False
         self._path.probe(payload)
@@ -94,17 +94,17 @@ class SecondWay:
     # ------------------------------------------------------------------------------------------------------- PathUser
 
     def opened(self, path: DatagramPath) -> None:
-        """As in PathUser."""
+        """Use the path for pictures."""
         self._path, self._before = path, self._sent
 
     def answered(self, payload: bytes) -> None:
-        """As in PathUser."""
+        """Record an answer to a ping or a picture."""
         if self._session.link is not None:
             self._session.link.ponged(payload, self._clock())
             self._wake()
 
     def heard(self, message: bytes) -> None:
-        """As in PathUser."""
+        """Queue a message."""
         self._heard.append(message)
         self._more.set()
 
@@ -116,18 +116,18 @@ class SecondWay:
         return self._heard.popleft().decode("utf-8", "replace")
 
     def lost(self, frame_id: int) -> None:
-        """As in PathUser."""
+        """Record a lost picture."""
         self._lost += 1
         self._session.lost(frame_id, self._clock())
         self._wake()
 
     def unanswered(self, frame_id: int) -> None:
-        """As in PathUser."""
+        """Give up an unanswered picture."""
         self._session.give_up((frame_id,))
         self._wake()
 
     def closed(self) -> None:
-        """As in PathUser."""
+        """Drop the path and give up its pictures."""
         self._path = None
         self._session.give_up(self._newest)  # QUIC may have acknowledged pictures that the client did not
         self._wake()

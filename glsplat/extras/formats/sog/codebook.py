@@ -1,4 +1,4 @@
-"""Which 256 numbers stand for many: a k-means in one dimension, on a histogram, the same at every run."""
+"""Quantise numbers to 256 values: deterministic k-means in one dimension, on a histogram."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 
 SIZE = 256
 _BINS = 1 << 14
-_EVEN = 0.25  # of the codes at the start: spread evenly over the range, whatever lies there
+_EVEN = 0.25  # share of the initial codes that is spread evenly over the range
 _ROUNDS = 10
 
 
 def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return 256 numbers in ascending order, and for each of the finite ``values`` the index of the nearest.
 
-    Up to 256 different values (as float32) are kept as they are. Of more, none is off by more than 1/60 of the
-    distance between the smallest and the largest, and where values are dense, by much less.
+    Up to 256 different values (as float32) are kept exactly. Errors of more are at most 1/60 of the range, and much
+    smaller where values are dense.
     """
     flat = np.ascontiguousarray(values, np.float32).ravel()
     book = np.full(SIZE, flat[0] if flat.size else 0, np.float32)
@@ -30,7 +30,7 @@ def codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray
 
 
 def _distinct(flat: NDArray[np.float32]) -> NDArray[np.float32] | None:
-    """Return the distinct values in order; None when they are more than a codebook has."""
+    """Return the distinct values in order; None if they exceed a codebook."""
     if len(np.unique(flat[: 16 * SIZE])) > SIZE:
         return None
     few = np.unique(flat)
@@ -42,7 +42,7 @@ def _means(flat: NDArray[np.float32]) -> NDArray[np.float32]:
     bins = ((flat.astype(np.float64) - low) * ((_BINS - 1) / (high - low))).astype(np.int32)
     counts = np.bincount(bins, minlength=_BINS).astype(np.float64)
     sums = np.bincount(bins, flat, _BINS).astype(np.float64)
-    # the cube root of the density: what errors of least squares ask for in the limit of many codes
+    # the cube root of the density is optimal for squared errors in the limit of many codes
     share = np.cbrt(counts)
     share = (1 - _EVEN) * share / share.sum() + _EVEN / _BINS
     cells = np.minimum((np.cumsum(share) - share / 2) * SIZE, SIZE - 1).astype(np.int64)
@@ -54,7 +54,7 @@ def _means(flat: NDArray[np.float32]) -> NDArray[np.float32]:
     for _ in range(_ROUNDS):
         nearest = np.searchsorted((book[1:] + book[:-1]) / 2, at)
         book = _centres(nearest, counts, sums, book)
-    # rounds of k-means serve the many; where they would leave the few further off than promised, the start stays
+    # k-means favours frequent values; keep the start if rare ones would exceed the promised error
     if _worst(book, at) > _worst(start, at) and _worst(book, at) > (high - low) / 64:
         book = start
     return np.sort(book).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The images of a SOG: eight bits a channel without loss, whose size is looked at before they are decoded."""
+"""Images of a SOG: eight bits a channel, lossless; their size is checked before they are decoded."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from glsplat.errors import FormatError
 from glsplat.extras.formats.sog.package import Package
 
-_HEAD = 1 << 12  # bytes in which the size is found
+_HEAD = 1 << 12  # bytes in which the size must be
 _CHUNKS = 16  # of a WebP, before its image
 
 
 def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.uint8]:
-    """Decode RGBA [H, W, 4] of the image ``name``: WebP without loss, or PNG; alpha 255 where it has none.
+    """Decode RGBA [H, W, 4] of the image ``name``: lossless WebP, or PNG; without alpha it is 255.
 
-    Raises FormatError, before anything is decoded, when it has fewer than ``least`` or more than ``most`` pixels, or
-    more bytes than so many pixels can take.
+    Raises FormatError before decoding if it has fewer than ``least`` or more than ``most`` pixels, or more bytes than
+    its pixels can need.
     """
-    import cv2  # here: 0.1 s that programs without pictures need not wait
+    import cv2  # not at the top, as it takes 0.1 s
 
     with package.open(name) as (file, size):
         head = file.read(_HEAD)
@@ -35,7 +35,7 @@ def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.ui
         if size > 5 * width * height + (1 << 16):
             raise FormatError(f"{name:.60} has {size} bytes, more than an image of {width} x {height} pixels can need")
         data = head + file.read(max(size - len(head), 0))
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line is ours
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the caller's error is the only line
     try:
         # IMREAD_UNCHANGED: alpha is kept, colours are not touched where it is 0
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -50,10 +50,10 @@ def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.ui
 
 
 def encoded(image: NDArray[np.uint8]) -> bytes:
-    """Encode RGBA [H, W, 4] as a WebP without loss, colours under an alpha of 0 included (OpenCV 4.13 and newer)."""
+    """Encode RGBA [H, W, 4] as lossless WebP; OpenCV 4.13 and newer keep colours with alpha 0."""
     import cv2
 
-    # older ones know lossless as a quality above 100, and set colours that nobody sees to black
+    # older versions have lossless as a quality above 100, and set colours with alpha 0 to black
     mode = getattr(cv2, "IMWRITE_WEBP_LOSSLESS_MODE", None)
     how = [cv2.IMWRITE_WEBP_QUALITY, 101] if mode is None else [mode, cv2.IMWRITE_WEBP_LOSSLESS_PRESERVE_COLOR]
     done, data = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA), how)
@@ -63,7 +63,7 @@ def encoded(image: NDArray[np.uint8]) -> bytes:
 
 
 def _size(head: bytes, name: str) -> tuple[int, int]:
-    """Return width and height, from the header alone."""
+    """Return width and height from the header."""
     try:
         if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
             return _webp_size(head, name)

@@ -1,4 +1,4 @@
-"""meta.json of a SOG: version 2, whose values are looked up in tables, and version 1, whose ranges become tables."""
+"""Parse meta.json of a SOG: version 2 has tables of values, version 1 ranges, which become tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BANDS = {1: 3, 2: 8, 3: 15}
 """Coefficients beyond the first of the spherical harmonics of a degree."""
 
 MOST_SPLATS = 1 << 25
-"""Splats in one file: more than any known one has, as images of them decode from next to nothing."""
+"""Most splats in a file, above any known one; images of more could decode from a few bytes."""
 
 _BITS16 = np.arange(65536) / 65535
 _BITS8 = np.arange(256) / 255
@@ -67,7 +67,7 @@ class _File(msgspec.Struct):
 
 @dataclass(frozen=True, eq=False)
 class Meta:
-    """What the pixels of the images mean, as tables by the value of a channel, and what the images are called."""
+    """Tables that map channel values to attributes, and the names of the images."""
 
     count: int
     antialias: bool
@@ -76,8 +76,8 @@ class Meta:
     colours: NDArray[np.float32]  # [3, 256] the first SH coefficient, by channel
     opacities: NDArray[np.float32]  # [256]
     rest: NDArray[np.float32] | None  # [256] the further SH coefficients, of all channels; None without them
-    bands: int | None  # degree of those; None where the width of their image has to tell
-    palette: int  # sets of further coefficients that labels may name
+    bands: int | None  # degree of those; None: by the width of their image
+    palette: int  # number of sets of further coefficients
     files: dict[str, str]  # "means_l", "means_u", "quats", "scales", "sh0", "centroids", "labels"
 
 
@@ -94,7 +94,7 @@ def parse(text: bytes) -> Meta:
         raise FormatError("meta.json does not say how many splats there are")
     if not 0 <= count <= MOST_SPLATS:
         raise FormatError(f"meta.json claims {count} splats; a SOG has {MOST_SPLATS} at most")
-    with np.errstate(over="ignore", invalid="ignore"):  # whatever becomes infinite has a fate of its own
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite values are handled later
         return (_version_2 if file.version == 2 else _version_1)(file, count)
 
 
@@ -107,7 +107,7 @@ def _version_2(file: _File, count: int) -> Meta:
         if bands not in (None, *BANDS):
             raise FormatError(f"shN.bands of meta.json is 1, 2 or 3, not {bands}")
         book = _book(file.shN.codebook, "shN")
-        rest = np.where(np.isnan(book), 0, book).astype(np.float32)  # a coefficient without a value is none
+        rest = np.where(np.isnan(book), 0, book).astype(np.float32)  # a missing coefficient is 0
     return _meta(
         file, count, np.tile(scales, (3, 1)), np.tile(colours, (3, 1)), _BITS8, rest, bands,
         antialias=file.antialias is True or file.model == "antialiased",
@@ -169,7 +169,7 @@ def _book(values: list[float | None] | None, what: str) -> NDArray[np.float64]:
         raise FormatError(f"{what} of meta.json needs a codebook in version 2")
     book = np.full(256, np.nan)
     book[: len(values)] = [np.nan if value is None else value for value in values]
-    if values[0] is None:  # some writers lost an infinity at the low end: read as PlayCanvas's engine does
+    if values[0] is None:  # some writers lost an infinity at the low end: as in PlayCanvas's engine
         book[0] = book[1] + (book[1] - book[255]) / 255
     return book
 

@@ -1,4 +1,4 @@
-"""A SOG as one file or as a folder: there whole, or as it was."""
+"""Write a SOG atomically, as one file or as a folder."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from glsplat.errors import FormatError
 from glsplat.extras.formats.sog.package import META
 from glsplat.io.files import Source, replace_file
 
-# what a SOG calls its images, here and elsewhere: only these are taken away with a meta.json that named them
+# names of a SOG's images: only these are deleted with a meta.json that lists them
 _OURS = re.compile(r"(means_[lu]|scales|quats|sh0|shN_(centroids|labels))(\.[0-9a-f]{12})?\.webp")
 
 Files = Iterable[tuple[str, bytes]]
 
 
 def write_zip(target: Source, files: Files) -> None:
-    """Write one zip without compression, as images are compressed. The same files give the same bytes."""
+    """Write one zip without compression, as the images have it. The same files give the same bytes."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files:
-            info = zipfile.ZipInfo(name)  # of 1980, whatever the clock says
+            info = zipfile.ZipInfo(name)  # dated 1980, for the same bytes at any time
             info.create_system, info.external_attr = 3, 0o644 << 16
             archive.writestr(info, data)
     replace_file(target, [packed.getbuffer()])
 
 
 def write_folder(folder: Path, files: Files) -> None:
-    """Write the files to ``folder``, which is made where it is absent (its parents are not).
+    """Write the files to ``folder``, which is created if absent (its parents are not).
 
     Images get unused names, and meta.json is replaced last, by a rename: readers find either all new or all old files,
-    also after a failure. The images of the old meta.json are deleted at the end.
+    even after a failure. The images of the old meta.json are deleted at the end.
     """
     made: list[Path] = []
     try:
@@ -52,7 +52,7 @@ def write_folder(folder: Path, files: Files) -> None:
                 new[name] = _free(folder, name, data)
                 path = folder / new[name]
                 if not _same(path, data):
-                    fresh = not os.path.lexists(path)  # else what a power cut left of the same
+                    fresh = not os.path.lexists(path)  # else a partial file of a power cut
                     replace_file(path, [data])
                     if fresh:
                         made.append(path)
@@ -73,7 +73,7 @@ def write_folder(folder: Path, files: Files) -> None:
 
 
 def _free(folder: Path, name: str, data: bytes) -> str:
-    """Return ``name`` if it is free, else with a part of the hash of ``data`` in it."""
+    """Return ``name`` if it is free, else with a part of the hash of ``data``."""
     if not os.path.lexists(folder / name) or _same(folder / name, data):
         return name
     return f"{Path(name).stem}.{hashlib.sha256(data).hexdigest()[:12]}{Path(name).suffix}"
@@ -84,7 +84,7 @@ def _same(path: Path, data: bytes) -> bool:
 
 
 def _named_by(path: Path) -> set[str]:
-    """Return the images of an older meta.json with names of a SOG; none where it cannot be read."""
+    """Return the images of an older meta.json with names of a SOG; none if it cannot be read."""
     try:
         text = path.read_bytes() if path.stat().st_size < 1 << 20 else b""
         found = msgspec.json.decode(text, type=dict[str, object]).values()

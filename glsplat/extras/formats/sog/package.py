@@ -1,4 +1,4 @@
-"""Where the files of a SOG lie: in a zip, read within bounds and never unpacked to disk, or beside its meta.json."""
+"""Files of a SOG: in a zip, read within limits and never unpacked to disk, or beside its meta.json."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
 
 META = "meta.json"
-_META_SIZE = 1 << 20  # bytes; those of other makers have 2 to 20 kB
-_ENTRIES = 1000  # in the directory of the zip; a SOG has 6 to 9
-_DIRECTORY = 1 << 18  # bytes of it
-_END = struct.Struct("<4s4H2LH")  # the end record: mark, disks, entries, size and place of the directory, comment
+_META_SIZE = 1 << 20  # bytes; other makers' have 2 to 20 kB
+_ENTRIES = 1000  # of the zip's directory; a SOG has 6 to 9
+_DIRECTORY = 1 << 18  # bytes of the zip's directory
+_END = struct.Struct("<4s4H2LH")  # end record: mark, disks, entries, size and offset of the directory, comment
 _COMMENT = 0xFFFF
 _BROKEN = (
     zipfile.BadZipFile,
@@ -32,7 +32,7 @@ _BROKEN = (
 
 
 class Package(Protocol):
-    """The files of a SOG by the names that meta.json gives them."""
+    """The files of a SOG by their names in meta.json."""
 
     def meta(self) -> bytes:
         """Return the bytes of meta.json."""
@@ -45,19 +45,19 @@ class Package(Protocol):
 
 
 class SogFolder:
-    """A meta.json that is open, and the images in its folder."""
+    """An open meta.json and the images in its folder."""
 
     def __init__(self, file: BinaryIO, size: int, folder: Path | None) -> None:
         self._file, self._size, self._folder = file, size, folder
 
     def meta(self) -> bytes:
-        """Return the bytes of meta.json. Raises FormatError when there are too many."""
+        """Return the bytes of meta.json. Raises FormatError if there are too many."""
         self._file.seek(0)
         return self._file.read(_fitting(self._size))
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[BinaryIO, int]]:
-        """Open the image ``name``. Raises FormatError for one outside the folder, also by a link."""
+        """Open the image ``name``. Raises FormatError if it is outside the folder, even by a link."""
         if self._folder is None:
             raise FormatError("the images lie beside the meta.json, and an open file has no folder; give its path")
         folder = self._folder.resolve()
@@ -80,7 +80,7 @@ class SogFolder:
 
 
 class SogZip:
-    """A zip that is open, after a look at its directory."""
+    """An open zip with a checked directory."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         try:
@@ -88,7 +88,7 @@ class SogZip:
             self._zip = zipfile.ZipFile(file)
         except _BROKEN as error:
             raise FormatError(f"a .sog is a zip, but {_line(error)}") from None
-        # not is_dir(), which wants a name to have a letter
+        # not is_dir(), which fails for an empty name
         entries = [i for i in self._zip.infolist() if not i.filename.endswith("/") and "__MACOSX" not in i.filename]
         if len(entries) > _ENTRIES:
             raise FormatError(f"a .sog has a handful of files, this zip {len(entries)}")
@@ -96,7 +96,7 @@ class SogZip:
         self._names: dict[str, list[zipfile.ZipInfo]] = {}
         for info in entries:
             self._names.setdefault(info.filename, []).append(info)
-        # at the root, or as archivers of folders put it, in the one folder
+        # at the root, or in a single folder, as from archivers of folders
         found = [name for name in self._names if PurePosixPath(name).name == META and name.count("/") <= 1]
         if not found:
             inside = ", ".join(name[:40] for name in list(self._names)[:6]) or "nothing"
@@ -106,7 +106,7 @@ class SogZip:
         self._root = "" if META in found else found[0].removesuffix(META)
 
     def meta(self) -> bytes:
-        """Return the bytes of meta.json. Raises FormatError when there are too many."""
+        """Return the bytes of meta.json. Raises FormatError if there are too many."""
         with self.open(META) as (file, size):
             return file.read(_fitting(size))
 
@@ -146,7 +146,7 @@ def is_zip(file: BinaryIO, size: int) -> bool:
 
 
 def _check_directory(file: BinaryIO, size: int) -> None:
-    """Look at the end record as zipfile does, before zipfile reads what it speaks of."""
+    """Check the end record before zipfile reads the directory. Raises BadZipFile."""
     file.seek(max(size - _END.size - _COMMENT, 0))
     tail = file.read(_END.size + _COMMENT)
     at = len(tail) - _END.size
@@ -156,13 +156,13 @@ def _check_directory(file: BinaryIO, size: int) -> None:
         raise zipfile.BadZipFile("it has no end record (truncated?)")
     _, _, _, _, entries, directory, _, _ = _END.unpack_from(tail, at)
     if b"PK\6\7" in tail[max(at - 20, 0) : at]:
-        raise zipfile.BadZipFile("it is of the kind for more than 4 GB (ZIP64); pack it without")
+        raise zipfile.BadZipFile("it is a ZIP64, for more than 4 GB; pack it without")
     if entries > _ENTRIES or directory > _DIRECTORY:
         raise zipfile.BadZipFile(f"its directory has {entries} entries in {directory} bytes, a .sog a handful")
 
 
 def _inside(name: str) -> str:
-    """Return ``name`` if it is relative and stays inside."""
+    """Return ``name`` if it is relative and stays inside. Raises FormatError otherwise."""
     if not name or "\\" in name or ":" in name or "\0" in name or {"", ".", ".."} & set(name.split("/")):
         raise FormatError(f"{META} names its images relative to itself, not {name!r:.60}")
     return name

@@ -1,4 +1,4 @@
-"""Which few sets of coefficients stand for many: a k-means in many dimensions, in bounded time."""
+"""Quantise sets of coefficients: a k-means in many dimensions, in bounded time."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ROUNDS = 2
-_GROUP = 256  # sets that lie together
-_NEAR = 8  # groups that a row is compared with
+_GROUP = 256  # neighbouring sets
+_NEAR = 8  # groups compared with a row
 _CHUNK = 4096  # rows compared at a time
 
 Rows = NDArray[np.float32]
@@ -21,14 +21,14 @@ def palette_size(count: int) -> int:
 
 
 def palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
-    """Return at most ``size`` rows [P, D] for all [N, D], and the index of the row of each; all rows are in use.
+    """Return at most ``size`` rows [P, D] for all [N, D], and each one's row index; all rows are in use.
 
     Rows are halved at the mean of their widest dimension, those with the largest squared error first, until there
-    are enough parts; then two rounds of k-means compare each row with the sets of the eight groups of 256 next to
-    its own (2048 sets: all, in a small palette). Up to ``size`` different rows are kept as they are. The time grows
-    with N D (log P + 3 x 2048), never with N P; the same rows give the same result.
+    are enough parts; then two rounds of k-means compare each row with the sets of the eight nearest groups of 256
+    (2048 sets: all, in a small palette). Up to ``size`` different rows are kept exactly. The time grows with
+    N D (log P + 3 x 2048), not with N P; the same rows give the same result.
     """
-    with np.errstate(all="ignore"):  # coefficients of 1e30 have no square
+    with np.errstate(all="ignore"):  # squares of 1e30 overflow
         return _palette(rows, size)
 
 
@@ -45,7 +45,7 @@ def _palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
         for axis in range(rows.shape[1]):
             sums = np.bincount(labels, grouped[:, axis], len(centres))
             centres[:, axis] = np.where(counts > 0, sums / np.maximum(counts, 1), centres[:, axis])
-        empty = np.flatnonzero(counts == 0)  # each takes one of the rows that fit worst
+        empty = np.flatnonzero(counts == 0)  # each takes a row with the largest error
         centres[empty] = grouped[np.argsort(-errors, kind="stable")[: len(empty)]]
     if len(starts) == size:
         labels, _ = _nearest(grouped, firsts, centres.astype(np.float32))
@@ -56,7 +56,7 @@ def _palette(rows: Rows, size: int) -> tuple[Rows, NDArray[np.int64]]:
 
 
 def _halved(rows: Rows, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return an order of the rows with ``size`` contiguous parts, and their starts; fewer where rows repeat."""
+    """Return an order of the rows in ``size`` contiguous parts, and their starts; fewer if rows repeat."""
     order = np.arange(len(rows))
     waiting: list[tuple[float, int, int]] = []
     starts = {0}
@@ -65,7 +65,7 @@ def _halved(rows: Rows, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]
         if stop - start > 1:
             part = rows[order[start:stop]]
             error = float(part.var(axis=0, dtype=np.float64).sum()) * (stop - start)
-            # halves of equal rows have an error of rounding
+            # equal rows have a rounding error
             if error > 0 and (part != part[0]).any():
                 heapq.heappush(waiting, (-error, start, stop))
 

@@ -1,4 +1,4 @@
-"""Splats from the images of a SOG."""
+"""Read splats from the images of a SOG."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from glsplat.extras.formats.sog.meta import BANDS, Meta, parse
 from glsplat.extras.formats.sog.package import Package, SogFolder, SogZip
 from glsplat.splats import Splats
 
-_SPARE = 1 << 16  # pixels that an image may have beyond four times what is needed
-_SPLATS_A_BYTE, _FREE = 256, 1 << 16  # splats that a file may hold: so many a byte, and so many in any case
+_SPARE = 1 << 16  # pixels that an image may have beyond four times its splats
+_SPLATS_A_BYTE, _FREE = 256, 1 << 16  # limit of a file's splats: for each byte, plus a constant
 _CHUNK = 1 << 16  # splats decoded at a time
 _PLACES = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3], [1, 2, 3, 0]])  # of w x y z, by which is the largest
 
 
 def read_sog(file: BinaryIO, size: int, folder: Path | None) -> Splats:
-    """Read the splats of an open .sog, or of an open meta.json whose images lie in ``folder``.
+    """Read the splats of an open .sog, or of an open meta.json whose images are in ``folder``.
 
-    Coordinates are as the file has them, those of the PLY it was made of: SOG names no axis that points up. What
-    others tolerate is: a rotation whose alpha is none of 252 to 255 is that of no turn, a label beyond the palette
-    stands for coefficients of zero. Raises FormatError for everything else that is not as it should be.
+    Coordinates are the file's, those of its source PLY: SOG has no up axis. As in other readers, a rotation with an
+    alpha outside 252 to 255 is the identity, and a label beyond the palette has coefficients of zero. Raises
+    FormatError for any other mistake.
     """
     file.seek(0)
     package: Package = SogZip(file, size) if file.read(2) == b"PK" else SogFolder(file, size, folder)
@@ -39,7 +39,7 @@ def read_sog(file: BinaryIO, size: int, folder: Path | None) -> Splats:
     scales = scene.scales()
     sh, opacities = scene.colours()
     for array in (means, quats, scales, opacities, sh):
-        array.flags.writeable = False  # handed over, not copied
+        array.flags.writeable = False  # so that Splats need not copy
     return Splats(means, quats, scales, opacities, sh, meta.antialias)
 
 

@@ -1,4 +1,4 @@
-"""SOG as a format of the house: loading, saving, recognising, and what a file does not keep."""
+"""SOG as a Format: load, save, recognise, and list losses."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _LARGEST = 1 << 20  # bytes of a meta.json
 
 
 def save_sog(splats: Splats, target: Source) -> None:
-    """Write a SOG of version 2: a zip, or where ``target`` is called meta.json, or is a folder, unpacked there.
+    """Write a SOG of version 2: a zip, or if ``target`` is a folder or called meta.json, unpacked there.
 
-    Rounded are: positions to 65536 steps between the lowest and the highest of sign(x) ln(1 + abs(x)) by axis (the
-    error is at most half a step, times 1 + abs(x), in metres); the three smaller components of a rotation to steps of
-    sqrt(2) / 255; opacities to steps of 1 / 255; logarithms of scales and the first SH coefficients each to 256
-    numbers, of which none is more than 1/60 of the whole range away, and up to 256 different ones are kept. The
-    further coefficients share at most 65536 sets, the largest power of two that is not above the number of splats,
-    whose values are 256 numbers in turn.
+    Positions are rounded to 65536 steps between the lowest and the highest of sign(x) ln(1 + abs(x)) by axis (the error
+    is at most half a step, times 1 + abs(x), in metres), the three smaller components of a rotation to steps of
+    sqrt(2) / 255, opacities to steps of 1 / 255. Logarithms of scales and the first SH coefficients are rounded to 256
+    numbers each, with errors of at most 1/60 of the range; up to 256 different ones are exact. The further
+    coefficients share at most 65536 sets, the largest power of two that is not above the number of splats, whose values
+    are also rounded to 256 numbers.
 
-    Splats come in Morton order. Those that are not finite or have no rotation are left out: nobody draws them. Scales
-    are written as their magnitude, 1e-9 at least. A folder is complete or, on any failure, as it was. Raises
-    FormatError when ``target`` cannot be written.
+    Splats are in Morton order. Those that are not finite or have no rotation, which are never drawn, are left out.
+    Scales are written as their magnitude, at least 1e-9. A failure leaves a folder unchanged. Raises FormatError if
+    ``target`` cannot be written.
     """
     with naming(target):
         kept = drawn(splats)

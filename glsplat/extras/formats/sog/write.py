@@ -1,4 +1,4 @@
-"""SOG version 2 as it is written: splats along a Morton curve, as the pixels of images."""
+"""Write SOG version 2: splats along a Morton curve, as the pixels of images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from glsplat.extras.formats.sog.palette import palette, palette_size
 from glsplat.splats import Splats
 
 SMALLEST = 1e-9
-"""The smallest standard deviation that is written, in metres: a scale of zero has no logarithm."""
+"""Smallest standard deviation in a file, metres, as zero has no logarithm."""
 
 _STEPS = 65535
 _ROW = 64  # sets of coefficients in a row of the palette's image
@@ -28,7 +28,7 @@ Image = NDArray[np.uint8]
 
 
 def drawn(splats: Splats) -> Splats:
-    """Return the splats that a SOG can hold: finite ones with a rotation. No other is ever drawn."""
+    """Return the splats that a SOG can hold: finite ones with a rotation. Others are never drawn."""
     kept = splats.drawable()
     return splats if kept.all() else splats.take(kept)
 
@@ -40,12 +40,12 @@ def stored_order(splats: Splats) -> NDArray[np.intp]:
 
 
 def _along(steps: NDArray[np.uint16]) -> NDArray[np.intp]:
-    """Return the Morton order by the stored positions, so that a file that was read is written as it was."""
+    """Return the Morton order of the stored positions, so that reading and writing a file keeps it."""
     return morton_order(steps.astype(np.float32))
 
 
 def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
-    """Return the files by name, meta.json last; of ``drawn`` splats, at most 16380 squared."""
+    """Yield name and bytes of the files, meta.json last, for at most 16380 squared ``drawn`` splats."""
     count = len(splats)
     low, high, steps = _steps(splats.means)
     order = _along(steps)
@@ -53,7 +53,7 @@ def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
     shape = max(4, math.ceil(count / width / 4) * 4), width
     meta: dict[str, Any] = {"version": 2, "asset": {"generator": "glsplat"}, "count": count}
     meta["antialias"] = splats.antialias
-    if splats.antialias:  # as splat-transform calls the same since 3.2
+    if splats.antialias:  # splat-transform's name since 3.2
         meta["model"] = "antialiased"
     meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
     yield "means_l.webp", _image((steps & 255)[order], shape)
@@ -100,7 +100,7 @@ def _smallest_three(quats: NDArray[np.float32]) -> Image:
 
 
 def _by_place(sets: NDArray[np.float32], labels: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the palette ordered by the mean position of its sets in the file: neighbours have near labels."""
+    """Order the palette by the mean position of its sets in the file, so that neighbours have close labels."""
     met = np.bincount(labels, np.arange(len(labels)), len(sets)) / np.bincount(labels, minlength=len(sets))
     order = np.argsort(met, kind="stable")
     place = np.empty_like(order)

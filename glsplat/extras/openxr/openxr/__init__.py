@@ -1,1 +1,1 @@
-"""The runtime of this computer by pyopenxr (the extra ``openxr``), which is imported when a session begins."""
+"""The runtime of this PC by pyopenxr (the extra ``openxr``), which is imported when a session begins."""

@@ -14,7 +14,7 @@ INSTALL = "pip install 'glsplat[openxr]'"
 
 def pyopenxr() -> Any:
     """Return the module ``xr``. Raises ContextError with the command that installs it."""
-    os.environ.setdefault("XR_LOADER_DEBUG", "none")  # what goes wrong we say ourselves, in one line
+    os.environ.setdefault("XR_LOADER_DEBUG", "none")  # errors are reported here, in one line
     try:
         import xr
     except ModuleNotFoundError as error:
@@ -50,7 +50,7 @@ def called(what: str) -> Iterator[None]:
 
 
 def function(instance: Any, name: str) -> Any:
-    """Return the C function of an extension whose wrapper in pyopenxr does not work; it raises pyopenxr's errors."""
+    """Return an extension's C function whose wrapper in pyopenxr does not work; it raises pyopenxr's errors."""
     import ctypes
 
     xr = pyopenxr()

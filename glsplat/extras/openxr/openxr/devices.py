@@ -1,4 +1,4 @@
-"""What a runtime tracks: actions (grips, buttons, gaze) and the trackers of extensions, each only if it is there."""
+"""Tracked devices of a runtime: actions (grips, buttons, gaze) and the trackers of available extensions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HANDS, GAZE = "XR_EXT_hand_tracking", "XR_EXT_eye_gaze_interaction"
 BODY, FULL_BODY = "XR_FB_body_tracking", "XR_META_body_tracking_full_body"
 FACE, FACE_HTC = "XR_FB_face_tracking2", "XR_HTC_facial_tracking"
 WANTED = (HANDS, GAZE, BODY, FULL_BODY, FACE, FACE_HTC)
-"""Extensions that are asked for where the runtime has them."""
+"""Extensions requested if the runtime has them."""
 
 _SIDES = ("left", "right")
 _VALID = 3  # XR_SPACE_LOCATION_ORIENTATION_VALID_BIT | POSITION_VALID_BIT
@@ -38,13 +38,13 @@ _PROFILES = {
 
 
 def transform_of(pose: Any) -> Transform:
-    """An XrPosef."""
+    """Convert an XrPosef."""
     p, q = pose.position, pose.orientation
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
 class DeviceReader:
-    """Made with the session; ``read`` once a frame."""
+    """Reads a session's devices; call ``read`` once a frame."""
 
     def __init__(self, instance: Any, session: Any, extensions: frozenset[str]) -> None:
         self._xr, self._instance, self._session = pyopenxr(), instance, session
@@ -58,11 +58,11 @@ class DeviceReader:
             self._stack = stack.pop_all()
 
     def close(self) -> None:
-        """Destroy what was made."""
+        """Destroy actions, spaces and trackers."""
         self._stack.close()
 
     def read(self, view: Any, space: Any, time: int, active: bool) -> Devices:
-        """Where all is at ``time`` in ``space``; ``view`` is the space of the head."""
+        """Return all devices at ``time`` in ``space``; ``view`` is the head's space."""
         if active:
             with called("xrSyncActions"):
                 self._xr.sync_actions(self._session, self._sync)
@@ -132,7 +132,7 @@ class DeviceReader:
             self._sync = xr.ActionsSyncInfo(active_action_sets=[xr.ActiveActionSet(made, 0)])
 
     def _suggest(self, profile: str, pairs: list[tuple[Any, str]]) -> None:
-        """Bindings for one controller; a runtime that does not know it goes without."""
+        """Suggest bindings for a controller; ignore one that the runtime does not know."""
         xr, instance = self._xr, self._instance
         try:
             found = [xr.ActionSuggestedBinding(action, xr.string_to_path(instance, path)) for action, path in pairs]
@@ -173,7 +173,7 @@ class DeviceReader:
     # --------------------------------------------------------------------------------------------------- extensions
 
     def _hand(self, side: str, stack: ExitStack) -> Callable[[Any, int], tuple[Transform, ...] | None] | None:
-        """Reads the 26 joints of a hand: pyopenxr's own call gives the runtime no room for them."""
+        """Return a reader of a hand's 26 joints: pyopenxr's own call allocates none for the runtime."""
         xr = self._xr
         hand = xr.HandEXT.LEFT if side == "left" else xr.HandEXT.RIGHT
         info = xr.HandTrackerCreateInfoEXT(hand=hand, hand_joint_set=xr.HandJointSetEXT.DEFAULT)
@@ -240,7 +240,7 @@ class DeviceReader:
         return read
 
     def _htc_tracker(self, kind: int, stack: ExitStack) -> Callable[[], list[float] | None] | None:
-        """Eyes (1) or lips (2)."""
+        """Return a reader of the eyes (1) or lips (2)."""
         xr = self._xr
         info = xr.FacialTrackerCreateInfoHTC(facial_tracking_type=xr.FacialTrackingTypeHTC(kind))
         tracker = self._made(lambda: xr.create_facial_tracker_htc(self._session, info))
@@ -259,7 +259,7 @@ class DeviceReader:
         return read
 
     def _made(self, make: Callable[[], Any]) -> Any:
-        """A tracker; None where the extension is there and the device is not."""
+        """Return a tracker; None if the extension exists but not the device."""
         try:
             with called("a tracker"):
                 return make()

@@ -1,4 +1,4 @@
-"""Graphics bindings: the OpenGL context that is current, as XR_MNDX_egl_enable and XR_KHR_opengl_enable want it."""
+"""Graphics bindings of the current OpenGL context for XR_MNDX_egl_enable and XR_KHR_opengl_enable."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _declared(library: Any, name: str, result: Any, *arguments: Any) -> Any:
 
 
 def api_in_use() -> str:
-    """Whose context is current on this thread: "egl", "glx" or "wgl". ContextError if nobody's."""
+    """Return the API of this thread's current context: "egl", "glx" or "wgl". Raises ContextError if there is none."""
     if sys.platform == "win32":
         return "wgl"
     egl = _library("libEGL.so.1")
@@ -42,7 +42,7 @@ def api_in_use() -> str:
 
 
 def graphics_binding(api: str) -> Any:
-    """What goes into ``SessionCreateInfo.next`` for the current context."""
+    """Return ``SessionCreateInfo.next`` for the current context."""
     if api == "egl":
         return _egl()
     return _glx() if api == "glx" else _wgl()
@@ -93,7 +93,7 @@ def _wgl() -> Any:
 
 
 def _fill(structure: Any, **handles: Any) -> None:
-    """Set handles whose types depend on what PyOpenGL found."""
+    """Set handles; their types depend on PyOpenGL's libraries."""
     kinds = dict(type(structure)._fields_)
     for name, value in handles.items():
         try:

@@ -18,7 +18,7 @@ from glsplat.tracking.sample import Transform
 
 DEPTH, LOCAL_FLOOR, PASSTHROUGH = "XR_KHR_composition_layer_depth", "XR_EXT_local_floor", "XR_FB_passthrough"
 EYES = 1.6
-"""Metres above the floor, where the device knows no floor."""
+"""Assumed eye height if the device has no floor, metres."""
 
 START = "start SteamVR, the Meta Quest Link app, WiVRn or Monado (XR_RUNTIME_JSON names another one)"
 _BLENDS: dict[int, Blend] = {1: "opaque", 2: "additive", 3: "alpha"}
@@ -26,7 +26,7 @@ _VALID = 3  # XR_VIEW_STATE_ORIENTATION_VALID_BIT | POSITION_VALID_BIT
 
 
 def offered() -> frozenset[str]:
-    """Extensions of the active runtime. ContextError, one line, where there is none."""
+    """Return the active runtime's extensions. Raises ContextError, one line, without a runtime."""
     xr = pyopenxr()
     try:
         return frozenset(found.extension_name.decode() for found in xr.enumerate_instance_extension_properties())
@@ -35,18 +35,18 @@ def offered() -> frozenset[str]:
 
 
 class OpenXrRuntime:
-    """One instance with its system and session, for the current context, which stays current during every call.
+    """An instance, its system and session for the current context, which has to stay current in every call.
 
-    Raises ContextError where that cannot be; ContextLostError from any call means that only ``close`` is left.
+    Raises ContextError if it cannot be created. After ContextLostError from any call, only ``close`` may be called.
 
-    ``layers``: API layers to switch on, as "XR_APILAYER_LUNARG_core_validation".
+    ``layers``: API layers to enable, as "XR_APILAYER_LUNARG_core_validation".
     """
 
     def __init__(self, context: Context, passthrough: bool = False, layers: Sequence[str] = ()) -> None:
         self._xr = pyopenxr()
         self._stack = ExitStack()
         self._space: Any = None
-        self._made: Any = None  # the layer of the frame before
+        self._made: Any = None  # the previous frame's layer
         self._passthrough: Any = None
         known, api = offered(), api_in_use()
         needed = EGL_ENABLE if api == "egl" else OPENGL_ENABLE
@@ -71,7 +71,7 @@ class OpenXrRuntime:
     # ------------------------------------------------------------------------------------------------------- states
 
     def poll(self) -> Event | None:
-        """The next event that means something to us."""
+        """Return the next event that is used here; None if there is none."""
         xr, kinds = self._xr, self._xr.StructureType
         while True:
             data = None
@@ -86,31 +86,31 @@ class OpenXrRuntime:
                 changed = _as(data, xr.EventDataSessionStateChanged)
                 return Event("state", State(int(changed._state)), int(changed.time))
             if kind == kinds.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING.value:
-                # of whichever space: a view that was reset is to be placed anew, even where the floor stays put
+                # of any space: a reset view is placed again, even if the floor stays
                 pending = _as(data, xr.EventDataReferenceSpaceChangePending)
                 return Event("recentred", time=int(pending.change_time))
 
     def begin(self) -> None:
-        """xrBeginSession, in the state READY."""
+        """Call xrBeginSession, in the state READY."""
         xr = self._xr
         info = xr.SessionBeginInfo(primary_view_configuration_type=xr.ViewConfigurationType.PRIMARY_STEREO)
         with called("xrBeginSession"):
             xr.begin_session(self._session, info)
 
     def end(self) -> None:
-        """xrEndSession, in the state STOPPING."""
+        """Call xrEndSession, in the state STOPPING."""
         with called("xrEndSession"):
             self._xr.end_session(self._session)
 
     def request_exit(self) -> None:
-        """xrRequestExitSession; STOPPING follows."""
+        """Call xrRequestExitSession; STOPPING follows."""
         with called("xrRequestExitSession"):
             self._xr.request_exit_session(self._session)
 
     # ------------------------------------------------------------------------------------------------------- frames
 
     def wait_frame(self) -> FrameTiming:
-        """xrWaitFrame: return when the next frame is to be begun."""
+        """Call xrWaitFrame, which returns when the next frame should begin."""
         with called("xrWaitFrame"):
             state = self._xr.wait_frame(self._session)
             return FrameTiming(
@@ -119,12 +119,12 @@ class OpenXrRuntime:
         raise ContextLostError("xrWaitFrame gave no frame")
 
     def begin_frame(self) -> None:
-        """xrBeginFrame."""
+        """Call xrBeginFrame."""
         with called("xrBeginFrame"):
             self._xr.begin_frame(self._session)
 
     def end_frame(self, display_time: int, projection: Projection | None, blend: Blend) -> None:
-        """xrEndFrame; with XR_FB_passthrough what its cameras see comes first."""
+        """Call xrEndFrame; with XR_FB_passthrough the cameras' layer comes first."""
         xr = self._xr
         layers: list[Any] = []
         if projection is not None:
@@ -133,7 +133,7 @@ class OpenXrRuntime:
             layers.append(self._layer(projection))
         number = next((n for n, name in _BLENDS.items() if name == blend), 1)
         if self._passthrough is not None:
-            number = 1  # the layer does it, whatever the display can
+            number = 1  # the passthrough layer replaces the display's blending
         info = xr.FrameEndInfo(
             display_time=display_time, environment_blend_mode=number, layers=[ctypes.byref(layer) for layer in layers]
         )
@@ -141,7 +141,7 @@ class OpenXrRuntime:
             xr.end_frame(self._session, info)
 
     def views(self, time: int) -> tuple[ViewPose, ViewPose] | None:
-        """xrLocateViews: both eyes at that time; None while the head's pose is unknown."""
+        """Return both eyes at ``time`` (xrLocateViews); None while the head's pose is unknown."""
         xr = self._xr
         kind = xr.ViewConfigurationType.PRIMARY_STEREO
         with called("xrLocateViews"):
@@ -153,17 +153,17 @@ class OpenXrRuntime:
         return None
 
     def devices(self, time: int, active: bool) -> Devices:
-        """Return all that is tracked, at that time; actions are read while ``active`` (FOCUSED)."""
+        """Return all devices at ``time``; actions are read while ``active`` (FOCUSED)."""
         return self._devices.read(self._view, self._space, time, active)
 
     def move(self, place: Transform) -> None:
-        """Put the session's space at a pose in the space as it was at the beginning."""
+        """Move the session's space to a pose in its initial space."""
         old, self._space = self._space, self._reference(self._kind, place, self._base)
         with called("xrDestroySpace"):
             self._xr.destroy_space(old)
 
     def swapchain(self, internal_format: int, size: tuple[int, int], layers: int, depth: bool) -> Swapchain:
-        """xrCreateSwapchain."""
+        """Return a new swapchain (xrCreateSwapchain)."""
         xr, uses = self._xr, self._xr.SwapchainUsageFlags
         use = uses.DEPTH_STENCIL_ATTACHMENT_BIT if depth else uses.COLOR_ATTACHMENT_BIT
         info = xr.SwapchainCreateInfo(
@@ -218,7 +218,7 @@ class OpenXrRuntime:
             raise ContextError(f"{self.name} has no system ({type(error).__name__}): {START}") from None
 
     def _describe(self, context: Context) -> None:
-        """Sizes and ways to blend; and that its OpenGL is ours."""
+        """Read sizes and blend modes. Raises ContextError if the runtime needs a newer OpenGL."""
         xr, kind = self._xr, self._xr.ViewConfigurationType.PRIMARY_STEREO
         with called("xrEnumerateViewConfigurationViews"):
             views = xr.enumerate_view_configuration_views(self._instance, self._system, kind)
@@ -255,7 +255,7 @@ class OpenXrRuntime:
         return session
 
     def _spaces(self) -> None:
-        """The head's, and the one in which all is told: with the floor at y = 0 if the device knows where it is."""
+        """Create the head's space and the session's, whose floor is at y = 0 if the device knows it."""
         xr, kinds = self._xr, self._xr.ReferenceSpaceType
         self._view = self._reference(kinds.VIEW, None)
         with called("xrEnumerateReferenceSpaces"):
@@ -279,7 +279,7 @@ class OpenXrRuntime:
             return xr.create_reference_space(self._session, info)
 
     def _see_through(self) -> None:
-        """XR_FB_passthrough: what the headset's cameras see, as a layer below ours."""
+        """Create the layer of the headset's cameras below ours (XR_FB_passthrough)."""
         xr, flags = self._xr, self._xr.PassthroughFlagsFB.IS_RUNNING_AT_CREATION_BIT
         with called("XR_FB_passthrough"):
             made = xr.create_passthrough_fb(self._session, xr.PassthroughCreateInfoFB(flags=flags))
@@ -289,7 +289,7 @@ class OpenXrRuntime:
             self._stack.callback(quietly, xr.destroy_passthrough_layer_fb, self._passthrough)
 
     def _layer(self, projection: Projection) -> Any:
-        """The layer's structures, made once for the same images: pyopenxr takes a while, and a frame waits for it."""
+        """Return the layer's structures, cached for the same images: pyopenxr is slow and a frame waits for it."""
         key = (tuple(projection.colour), tuple(projection.depth), projection.depth_range, projection.transparent)
         if self._made is None or self._made[0] != key or self._made[1] is not self._space:
             self._made = (key, self._space, *self._new_layer(projection))
@@ -302,7 +302,7 @@ class OpenXrRuntime:
         return layer
 
     def _new_layer(self, projection: Projection) -> tuple[Any, Any, list[Any]]:
-        """Layer, its views, and what they point at."""
+        """Return the layer, its views, and the structures that they point at."""
         xr, kept = self._xr, []
         views = (xr.CompositionLayerProjectionView * 2)()
         for eye in (0, 1):
@@ -332,7 +332,7 @@ class OpenXrRuntime:
 
 
 def _as(data: Any, kind: Any) -> Any:
-    """An event's buffer as the event that it is."""
+    """Cast an event's buffer to its type."""
     return ctypes.cast(ctypes.byref(data), ctypes.POINTER(kind)).contents
 
 

@@ -1,4 +1,4 @@
-"""Swapchain: images of the runtime that are acquired, drawn into, and released, in that order (OpenXR 1.1, 11.3)."""
+"""Swapchain: images of the runtime to acquire, draw into and release, in that order (OpenXR 1.1, 11.3)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 from glsplat.errors import ContextLostError
 from glsplat.extras.openxr.openxr.calls import called, quietly
 
-_PATIENCE = 2_000_000_000  # nanoseconds that the runtime may hold an image
+_PATIENCE = 2_000_000_000  # longest wait for an image, nanoseconds
 
 
 class Swapchain:
-    """``textures`` are the GL names of the images, each of ``layers`` layers (1: a plain texture)."""
+    """A swapchain; ``textures`` are the GL names of its images, of ``layers`` layers each (1: a plain texture)."""
 
     def __init__(self, xr: Any, handle: Any, size: tuple[int, int], layers: int, textures: list[int]) -> None:
         self._xr = xr
@@ -21,7 +21,7 @@ class Swapchain:
         self.textures: list[int] = textures
 
     def acquire(self) -> int:
-        """xrAcquireSwapchainImage and xrWaitSwapchainImage."""
+        """Acquire the next image and wait for it; return its index."""
         xr = self._xr
         with called("xrAcquireSwapchainImage"):
             index = int(xr.acquire_swapchain_image(self.handle, xr.SwapchainImageAcquireInfo()))
@@ -34,10 +34,10 @@ class Swapchain:
         return index
 
     def release(self) -> None:
-        """xrReleaseSwapchainImage."""
+        """Release the acquired image."""
         with called("xrReleaseSwapchainImage"):
             self._xr.release_swapchain_image(self.handle, self._xr.SwapchainImageReleaseInfo())
 
     def close(self) -> None:
-        """xrDestroySwapchain."""
+        """Destroy the swapchain."""
         quietly(self._xr.destroy_swapchain, self.handle)

@@ -1,1 +1,1 @@
-"""Meshes in glTF as other programs write them: surfaces, rigs of any family, what is left out."""
+"""Meshes in other programs' glTF: surfaces, rigs of any family, and what is left out."""

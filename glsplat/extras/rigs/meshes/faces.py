@@ -1,4 +1,4 @@
-"""The expressions of the meshes of a file, by ARKit's names: morph targets, and what a VRM makes of them."""
+"""Expressions of a file's meshes under ARKit's names, from morph targets and VRM expressions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glsplat.skinning.expression import ARKIT, arkit_name
 
 
 class Faces:
-    """Collects them, primitive by primitive."""
+    """Collects expressions, primitive by primitive."""
 
     def __init__(self, container: Container) -> None:
         self._container = container
@@ -24,8 +24,8 @@ class Faces:
         self._found: dict[str, list[tuple[NDArray[np.integer], NDArray[np.floating]]]] = {}
 
     def add(self, instance: Instance, node: int, first: int, linear: F64) -> int:
-        """Take those of an instance, the ``node``, whose vertices are from ``first`` on and were moved by ``linear``
-        [3, 3] or [V, 3, 3]. Returns how many of its targets are part of none. Raises FormatError."""
+        """Add an instance's expressions; at ``node``, its vertices start at ``first`` and were moved by ``linear``
+        [3, 3] or [V, 3, 3]. Returns the number of its targets in no expression. Raises FormatError."""
         primitive, mesh = instance.primitive, instance.node.mesh
         if not primitive.targets or mesh is None:
             return 0
@@ -44,12 +44,12 @@ class Faces:
         return len(morphs) - len(used)
 
     def morphs(self) -> Morphs | None:
-        """All that was found, in ARKit's order; None without any."""
+        """Return all expressions, in ARKit's order; None without any."""
         found = {name: self._found[name] for name in ARKIT if name in self._found}
         return Morphs.of(found) if found else None
 
     def _targets(self, morphs: Morphs, node: int, mesh: int) -> dict[str, list[tuple[int, float]]]:
-        """ARKit's name -> (target, weight); a target's own name counts before what a VRM says."""
+        """Return ARKit's name -> (target, weight); a target's own name has priority over a VRM's expressions."""
         out: dict[str, list[tuple[int, float]]] = {}
         for target, name in enumerate(morphs.names):
             known = arkit_name(name)

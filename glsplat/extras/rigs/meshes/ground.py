@@ -1,4 +1,4 @@
-"""A person on the floor: the soles of the T-pose on y = 0, and feet that a rig lacks where the shoes are."""
+"""Put a person on the floor: the soles of the T-pose on y = 0, and missing foot joints into the shoes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 _SOLE = 0.0165  # of the stature; height of the foot joint (the ball) above the floor, as on the reference body
 _ANKLE = 0.045  # of the stature
 _BALL = 0.7  # of the way from heel to tip
-_CLEARLY = 2.0  # times as far behind the ankle as before it: such a shoe points backwards
+_CLEARLY = 2.0  # a shoe that reaches this many times as far behind the ankle as before it points backwards
 
 
 def on_the_floor(
@@ -26,10 +26,10 @@ def on_the_floor(
     weights: F64,  # [V, K]
     known: Collection[str],  # joints that the rig has; all others were placed by the reference body
 ) -> tuple[Skeleton, F64]:
-    """Skeleton and vertices moved alike, so that the lowest vertex is on y = 0 and the pelvis over the origin.
+    """Move skeleton and vertices alike, so that the lowest vertex is on y = 0 and the pelvis over the origin.
 
-    Ankles and balls of the feet that the rig lacks come where they belong in the shoes: motions and tracking take them
-    for the height of the sole. Nothing hangs from a joint that the rig lacks, so the picture stays as it is.
+    Missing ankles and balls of the feet are placed in the shoes, as motions and tracking use them for the sole's
+    height. They move no vertex, so the picture does not change.
     """
     bones = skeleton.bone_matrices(np.zeros((len(skeleton), 3)))
     posed = np.zeros_like(vertices)
@@ -65,9 +65,9 @@ def faces_back(
     weights: F64,  # [V, K]
     known: Collection[str],
 ) -> bool:
-    """Whether both feet point backwards: then what the file calls left is the right.
+    """Return whether both feet point backwards: then the file's left is the right.
 
-    By the toes where the rig has them, else by the shoes as they were bound.
+    The toes decide where the rig has them, else the shoes as they were bound.
     """
     heaviest = strongest_joint(joints, weights)
     bound = np.linalg.inv(skeleton.inverse_bind)

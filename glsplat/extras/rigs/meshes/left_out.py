@@ -1,4 +1,4 @@
-"""What a glTF file has and an avatar has not: counted and named, so that nothing is missed in silence."""
+"""Count and name the parts of a glTF file that an avatar does not have."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from glsplat.formats.gltf.nodes import Graph, Instance
 
 TRIANGLES = (4, 5, 6)
 _NAMED = 3  # names a line
-_ROOM = 0.4  # of the joints' extent: how far what a person wears lies around their joints
+_ROOM = 0.4  # of the joints' extent: how far worn things may be from the joints
 
 
 @dataclass(eq=False)
 class LeftOut:
-    """Counts of what is left out, by what it is called."""
+    """Counts and names of left-out parts, by their kind."""
 
     counts: dict[str, int] = field(default_factory=dict)
     names: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, what: str, count: int = 1, name: str = "") -> None:
-        """``count`` more of ``what``; one of them has a name."""
+        """Add ``count`` of the kind ``what``; ``name`` is one of them."""
         if count:
             self.counts[what] = self.counts.get(what, 0) + count
             if name and name not in (known := self.names.setdefault(what, [])):
                 known.append(name)
 
     def lines(self) -> list[str]:
-        """A line each: "3 meshes beside the person are left out (Floor, Cube, Lamp)"."""
+        """Return a line for each kind: "3 meshes beside the person are left out (Floor, Cube, Lamp)"."""
         out = []
         for what, count in self.counts.items():
             names = [name[:40] for name in self.names.get(what, ())]
@@ -43,7 +43,7 @@ class LeftOut:
 
 
 def refuse_packed(instances: Sequence[Instance]) -> None:
-    """Raise FormatError for geometry in a format of its own (Draco)."""
+    """Raise FormatError for compressed geometry (Draco)."""
     for instance in instances:
         packed = [name for name in instance.primitive.extensions if "compression" in name]
         if packed:
@@ -54,7 +54,7 @@ def refuse_packed(instances: Sequence[Instance]) -> None:
 
 
 def survey(container: Container, everything: Sequence[Instance], left: LeftOut) -> None:
-    """What no avatar is made of, whatever the rig."""
+    """Count points, lines, meshes outside the scene, and animations."""
     gltf = container.gltf
     drawn = [i for i in everything if i.primitive.mode not in TRIANGLES]
     for instance in drawn:
@@ -75,8 +75,8 @@ def survey(container: Container, everything: Sequence[Instance], left: LeftOut) 
 
 
 def carried(graph: Graph, joints: Collection[int]) -> NDArray[np.bool_]:
-    """[N] whether a node is one of the joints or hangs from one."""
-    out = np.zeros(len(graph.parents) + 1, bool)  # the last is what roots hang from
+    """Return [N] whether a node is a joint or descends from one."""
+    out = np.zeros(len(graph.parents) + 1, bool)  # the last is the parent of roots
     out[list(joints)] = True
     for node in graph.order:
         out[node] |= out[graph.parents[node]]
@@ -84,16 +84,16 @@ def carried(graph: Graph, joints: Collection[int]) -> NDArray[np.bool_]:
 
 
 def apart(graph: Graph, skeleton: Sequence[int], joints: Sequence[int]) -> bool:
-    """Whether a skin's ``skeleton`` is another one than that of the ``joints``, and stands beside it."""
+    """Return whether a skin's ``skeleton`` is not that of the ``joints`` and stands beside it."""
     if carried(graph, joints)[list(skeleton)].any() or carried(graph, skeleton)[list(joints)].any():
         return False
     return nearest(graph, graph.world[list(skeleton)][:, :3, 3], joints) is None
 
 
 def nearest(graph: Graph, points: F64, joints: Sequence[int]) -> int | None:
-    """Which of the joints' nodes a rigid mesh, ``points`` [V, 3] in the world, goes with; None for a prop of the scene.
+    """Return the joint that a rigid mesh, ``points`` [V, 3] in the world, follows; None for a prop of the scene.
 
-    Hair or glasses that hang from the armature alone lie within the room that joints take; a floor does not.
+    Hair or glasses are near the joints' box; a floor exceeds it.
     """
     where = graph.world[joints][:, :3, 3]
     low, high = where.min(axis=0), where.max(axis=0)

@@ -1,4 +1,4 @@
-"""Base colours of glTF materials: factor, texture, its transform, and what of it is cut out."""
+"""Base colours of glTF materials: factor, texture, texture transform and alpha cut-off."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ _WEBP, _TRANSFORM, _BASIS = "EXT_texture_webp", "KHR_texture_transform", "KHR_te
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What colours a surface, lights apart."""
+    """The unlit colours of a surface."""
 
     texture: NDArray[np.uint8]  # [H, W, 4]; alpha below 128 is cut out
     coordinates: int  # TEXCOORD_n
     turn: NDArray[np.float64]  # [2, 3] of glTF's texture coordinates (KHR_texture_transform)
     name: str
-    alpha: NDArray[np.uint8] | None = None  # [H, W] times the factor, before it is cut; None: opaque, whatever it is
+    alpha: NDArray[np.uint8] | None = None  # [H, W] times the factor, before the cut; None: opaque
     cut: float = 127.5  # of 255; alpha below it is cut out
 
     def coloured(self) -> NDArray[np.uint8]:
-        """[H, W, 4] with alpha as vertices' colours multiply it; then ``cut_out`` it."""
+        """Return the texture [H, W, 4] with the alpha that vertices' colours multiply; ``cut_out`` follows."""
         return self.texture if self.alpha is None else np.dstack([self.texture[..., :3], self.alpha])
 
     def cut_out(self, texture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What ``coloured`` became, with its cut-off at one half."""
+        """Return a texture made from ``coloured``, with its cut-off at one half."""
         return texture if self.alpha is None else np.dstack([texture[..., :3], _halved(texture[..., 3], self.cut)])
 
 
 def material_of(container: Container, index: int | None) -> Material:
-    """The base colour of a material; white without one. Raises FormatError naming the material."""
+    """Return the base colour of a material; white without one. Raises FormatError naming the material."""
     gltf = container.gltf
     try:
         entry: Any = gltf.materials[index] if index is not None else {}
@@ -65,12 +65,12 @@ def material_of(container: Container, index: int | None) -> Material:
 
 
 def _halved(alpha: NDArray[np.uint8], cut: float) -> NDArray[np.uint8]:
-    """Alpha so that its cut-off, which was at ``cut`` of 255, is at one half."""
+    """Shift alpha so that its cut-off moves from ``cut`` of 255 to one half."""
     return np.rint(np.clip(127.5 + (np.arange(256) - cut), 0, 255)).astype(np.uint8)[alpha]
 
 
 def _tinted(image: NDArray[np.uint8], factor: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """[H, W, 3] the image times the factor, which is linear."""
+    """Return the image [H, W, 3] times the linear factor."""
     out = image[..., :3]
     if (factor[:3] != 1).any():
         table = to_linear(np.arange(256) / 255.0)
@@ -82,7 +82,7 @@ def _tinted(image: NDArray[np.uint8], factor: NDArray[np.float64]) -> NDArray[np
 
 
 def _transform(entry: Mapping[str, Any], coordinates: int) -> tuple[NDArray[np.float64], int]:
-    """KHR_texture_transform: offset, rotation (counter-clockwise), scale; and the set of coordinates it may name."""
+    """Parse KHR_texture_transform to a matrix [2, 3] and its set of coordinates; rotation is counter-clockwise."""
     angle = float(entry.get("rotation", 0.0))
     offset, scale = (
         np.array(entry.get(name, default), np.float64) for name, default in (("offset", (0, 0)), ("scale", (1, 1)))
@@ -109,7 +109,7 @@ def _image(container: Container, texture: Mapping[str, Any]) -> NDArray[np.uint8
 def _bytes_of(container: Container, image: Mapping[str, Any]) -> bytes:
     if "bufferView" in image:
         view = container.gltf.buffer_views[image["bufferView"]]
-        # read through an accessor of bytes, so that the bounds are checked in one place
+        # an accessor of bytes, so that the bounds are checked in one place
         container.gltf.accessors.append(
             Accessor(component_type=5121, count=view.byte_length, type="SCALAR", buffer_view=image["bufferView"])
         )

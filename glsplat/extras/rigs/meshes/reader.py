@@ -1,4 +1,4 @@
-"""Textured, rigged meshes from glTF 2.0 and VRM of any maker: people on SMPL-X's joints, all else as it is."""
+"""Read textured, rigged meshes from any maker's glTF 2.0 and VRM: people on SMPL-X's joints, all else as it is."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 _MOST = 1 << 25  # vertices and corners of triangles
 _NO_SKIN = "a person needs triangles with a skin (JOINTS_0 and WEIGHTS_0), or parts named as a body's are; found none"
-_SKELETONS = 256  # in a file in which another person is looked for
+_SKELETONS = 256  # most skeletons of a file in which another person is sought
 _KEPT = 8  # joints a vertex
-_ALIKE = 1e-9  # of the largest number: placements that are one
+_ALIKE = 1e-9  # of the largest number: matrices closer than that are equal
 
 
 def read_gltf_person(
@@ -42,17 +42,17 @@ def read_gltf_person(
     scale: float = 1.0,
     strict: bool = False,
 ) -> RiggedMesh:
-    """Everything that a .glb, .gltf or .vrm shows and that a rig moves: all skins, and meshes that hang from joints.
+    """Read all skins of a .glb, .gltf or .vrm, and meshes under joints.
 
-    Without a skin, a doll whose nodes are named as the parts of a body: these are its joints.
+    Without a skin, a doll is read whose nodes are named as the parts of a body: these are its joints.
 
-    A rig whose joints can be told (skinning/rigs) gets the 55 joints of SMPL-X, its zero pose is the T-pose and it
-    stands on y = 0; ``meta["rig"]`` has the map. Any other rig keeps its joints, and its zero pose is the file's rest
-    pose. ``meta["left_out"]`` lists what is not taken. Weights, texture coordinates and colours that are not finite are
-    dropped, (0, 0) and white, which is logged, or with ``strict`` refused. Raises FormatError naming the file: nothing
-    with a rig, compressed geometry, a texture that is no picture, points that are not finite.
+    A rig whose joints are recognised gets the 55 joints of SMPL-X; its zero pose is the T-pose and it stands on y = 0;
+    ``meta["rig"]`` has the map. Any other rig keeps its joints, and its zero pose is the file's rest pose.
+    ``meta["left_out"]`` lists what is not read. Weights, texture coordinates and colours that are not finite become
+    0, (0, 0) and white and are logged, or with ``strict`` refused. Raises FormatError naming the file: nothing with a
+    rig, compressed geometry, a texture that is no picture, points that are not finite.
     """
-    with opened(path, strict) as start, np.errstate(all="ignore"):  # what is no number is refused by RiggedMesh
+    with opened(path, strict) as start, np.errstate(all="ignore"):  # RiggedMesh refuses values that are not finite
         container = read_container(start.file, start.size, start.folder)
         graph = graph_of(container.gltf)
         shown = _shown(container, graph)
@@ -64,7 +64,7 @@ def read_gltf_person(
 
 
 def mesh_of(container: Container, source: str) -> RiggedMesh:
-    """As ``read_gltf_person``, and where nothing has a skin all that is shown, standing on one joint at the origin.
+    """Read a mesh as ``read_gltf_person``; without a skin, all that is shown stands on one joint at the origin.
 
     ``source`` is the file's name, without its folder.
     """
@@ -91,7 +91,7 @@ def mesh_of(container: Container, source: str) -> RiggedMesh:
 
 
 def _shown(container: Container, graph: Graph) -> list[Instance]:
-    """Raises FormatError where the nodes of a small file show its meshes more often than memory bears."""
+    """Return the shown triangles. Raises FormatError if nodes repeat meshes beyond ``_MOST`` vertices and corners."""
     found = [
         i
         for i in instances(container.gltf, graph.world)
@@ -111,7 +111,7 @@ def _skinned(instance: Instance) -> bool:
 
 
 def _weights(container: Container, instance: Instance) -> Sequence[float]:
-    """Of the morph targets: the node's, else the mesh's (glTF 2.0, 3.7.2.2)."""
+    """Return the morph targets' weights: the node's, else the mesh's (glTF 2.0, 3.7.2.2)."""
     mesh = instance.node.mesh
     return instance.node.weights or (container.gltf.meshes[mesh].weights if mesh is not None else [])
 
@@ -124,8 +124,8 @@ def _rigged(
     own_joints: bool,
     rig_map: Mapping[str, str | None],
     scale: float,
-    turned: Mapping[str, int | None] | None = None,  # the map, once it is known that left and right are exchanged
-    guessed: bool = False,  # that one was told by where joints are
+    turned: Mapping[str, int | None] | None = None,  # the map after left and right were exchanged
+    guessed: bool = False,  # whether that map was guessed from positions
 ) -> RiggedMesh:
     gltf = container.gltf
     node_of = {id(node): index for index, node in enumerate(gltf.nodes)}
@@ -140,7 +140,7 @@ def _rigged(
         item(gltf.skins, skin, "skin")
     if skins:
         ready = read_skeleton(container, next(i for i in shown if i.node.skin == skins[0] and _skinned(i)), graph)
-        if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own is taken to the bit
+        if len(skins) == 1 and (container.note() or ready.names == JOINT_NAMES):  # our own files are read unchanged
             return _plain(container, shown, skins[0], ready, source)
     rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
     given = _given(container, rig_map)
@@ -178,7 +178,7 @@ def _rigged(
         weights.append(shares)
         parts.append(_part(surface, first))
         first += len(points)
-        if node not in morphed:  # all primitives of a mesh have the same
+        if node not in morphed:  # all primitives of a mesh share their targets
             morphed.add(node)
             left.add("morph targets stay at their default weights", still)
     survey(container, list(instances(gltf, graph.world)), left)
@@ -197,7 +197,7 @@ def _rigged(
         if guessed or rig.guessed:
             left.add("joints have no name that says what they are, and are told by where they are", len(rig.map))
         elif turned:
-            left.add("person whose left is called right: taken by where the feet point")
+            left.add("person with left and right exchanged: corrected by the feet's direction")
     elif rig.why:
         meta["no_map"] = rig.why
     if left.counts:
@@ -206,7 +206,7 @@ def _rigged(
 
 
 def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[int]) -> NDArray[np.bool_]:
-    """[N] nodes that move vertices, those apart that are on the root for want of a weight: they say nothing of it."""
+    """Return [N] whether a node moves vertices; vertices bound to the root for lack of a weight do not count."""
     gltf = container.gltf
     holds = np.zeros(len(gltf.nodes), bool)
     holds[list(rigid)] = True
@@ -220,13 +220,13 @@ def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[in
 
 
 def _wide(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """[V, K] of parts of different widths; what is added is zero."""
+    """Return parts of different widths as [V, K], padded with zeros."""
     width = max(part.shape[1] for part in parts)
     return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in parts])
 
 
 def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str, int | None]:
-    """What the file says, mended by what the user says; by node indices."""
+    """Return the file's map, overridden by the user's, with node indices."""
     given: dict[str, int | None] = dict(human_bones(container.gltf))
     names = [node.name for node in container.gltf.nodes]
     for joint, name in rig_map.items():
@@ -241,9 +241,9 @@ def _given(container: Container, rig_map: Mapping[str, str | None]) -> dict[str,
 def _bound(
     container: Container, instance: Instance, node: int, on: int, surface: Surface, rig: Rig
 ) -> tuple[F64, NDArray[np.int64], F64, F64]:
-    """Points [V, 3] as they were bound, and joints and weights [V, K] of the rig; without a skin they go ``on`` one.
+    """Return bound points [V, 3], and joints and weights [V, K] of the rig; without a skin the joint is ``on``.
 
-    At last what turned offsets of the points: [3, 3], or [V, 3, 3].
+    The last value, [3, 3] or [V, 3, 3], turns offsets of the points.
     """
     points = np.column_stack([surface.points, np.ones(len(surface.points))])
     if not _skinned(instance):
@@ -271,7 +271,7 @@ def _bound(
 def _influences(
     container: Container, instance: Instance, count: int, joints: int
 ) -> tuple[NDArray[np.int64], F64, NDArray[np.bool_]]:
-    """Indices into the skin's joints and weights [V, 4 or 8], which sum to one; ``Influences.rooted`` [V]."""
+    """Return indices into the skin's joints, weights [V, 4 or 8] that sum to one, and ``Influences.rooted`` [V]."""
     found, where = read_influences(container, instance, count), instance.name
     wide, shares = found.joints, found.weights.astype(np.float64)
     if wide.size and wide[shares > 0].max(initial=0) >= joints:
@@ -279,15 +279,15 @@ def _influences(
     if (shares < 0).any():
         raise FormatError(f"{where}: weights need numbers from 0 on")
     wide[shares <= 0] = 0
-    shares[shares.sum(axis=1) <= 0, 0] = 1  # bound to nothing: the specification leaves it open, viewers take the first
+    shares[shares.sum(axis=1) <= 0, 0] = 1  # no weights: undefined in the specification; viewers use the first
     return wide, shares / shares.sum(axis=1, keepdims=True), found.rooted
 
 
 def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], F64]:
-    """Each joint once a vertex, the heaviest first, at most eight."""
+    """Merge repeated joints of a vertex and keep the eight heaviest, heaviest first."""
     order = np.argsort(joints, axis=1, kind="stable")
     ids, shares = np.take_along_axis(joints, order, 1), np.take_along_axis(weights, order, 1).copy()
-    for column in range(ids.shape[1] - 1, 0, -1):  # equal neighbours: into the left one
+    for column in range(ids.shape[1] - 1, 0, -1):  # add equal neighbours to the left one
         same = ids[:, column] == ids[:, column - 1]
         shares[same, column - 1] += shares[same, column]
         shares[same, column] = 0
@@ -298,7 +298,7 @@ def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], 
 
 
 def _plain(container: Container, shown: Sequence[Instance], skin: int, skeleton: Skeleton, source: str) -> RiggedMesh:
-    """A person on the joints of SMPL-X already: stored points, as the file has them."""
+    """Read a person who already has the joints of SMPL-X, with the stored points."""
     vertices, joints, weights, parts, first = [], [], [], [], 0
     materials: Materials = {}
     faces = Faces(container)

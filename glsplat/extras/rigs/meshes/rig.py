@@ -1,9 +1,9 @@
-"""The rig of a glTF file: where its joints were when the skin was bound, and which joint moves which vertex.
+"""The rig of a glTF file: the bind frames of its joints, and which joint moves which vertex.
 
 A file has two poses. In one the skin was bound (the inverse of the inverse bind matrices); in the other the nodes
-rest, which may be any frame of an animation. People are taken as they were bound, upright and in metres, with the 55
-joints of SMPL-X (skinning/rigs); everything else as the nodes rest, with its own joints. Either way a vertex moves as
-glTF 2.0 (3.7.3.3) has it: joints that are no part of the map stay as they were bound under the one they hang from.
+rest, which may be any frame of an animation. People are read in the bind pose, upright and in metres, with the 55
+joints of SMPL-X; everything else in the rest pose, with its own joints. Either way vertices move as in glTF 2.0
+(3.7.3.3); joints outside the map keep their bind pose under their parents.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from glsplat.formats.gltf.nodes import Graph
 from glsplat.formats.gltf.rig import MAX_JOINTS, joint_names, joint_parents
 from glsplat.skinning.skeleton import Skeleton
 
-_SAID = 3  # joints; with no more than that, names say nothing
+_SAID = 3  # matched joints up to which names are not trusted
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A skeleton for what a file shows."""
+    """A skeleton for the shown meshes of a file."""
 
     skeleton: Skeleton
-    joint: NDArray[np.intp]  # [N] the joint that a node moves with; -1 for a node that moves nothing
+    joint: NDArray[np.intp]  # [N] the joint that moves a node; -1 for a node that moves nothing
     _before: F64  # [N, 4, 4] bind space of the avatar from a node's own space
     map: RigMap | None
-    """Of node indices; None for what is no person, or one who lacks too much."""
+    """Map of node indices; None for anything but a person with all needed joints."""
     why: str
     """Why there is no map, in one line."""
     guessed: bool = False
-    """No name said so: the map is by where the joints are."""
+    """Whether the map was guessed from the joints' positions."""
 
     def place(self, nodes: NDArray[np.integer], inverse_bind: F64) -> F64:
-        """[K, 4, 4] where points bound to each of the ``nodes`` [K] by ``inverse_bind`` [K, 4, 4] are when bound."""
+        """Return [K, 4, 4] bind space from stored points of the ``nodes`` [K] with ``inverse_bind`` [K, 4, 4]."""
         return np.asarray(self._before[nodes] @ inverse_bind)
 
 
 def rig_of(
     container: Container,
     graph: Graph,
-    skins: Sequence[int],  # those that are used, the one with the most vertices first
-    rigid: Sequence[int],  # nodes that show meshes without a skin
-    given: Mapping[str, int | None],  # SMPL-X joint -> node, as the file or the user says
+    skins: Sequence[int],  # used skins, the one with the most vertices first
+    rigid: Sequence[int],  # nodes of meshes without a skin
+    given: Mapping[str, int | None],  # SMPL-X joint -> node, from the file or the user
     reference: F64,  # [55, 3] joints of a body in the T-pose, metres
-    scale: float = 1.0,  # times what the file's nodes make of it
-    own_joints: bool = False,  # no map is looked for
+    scale: float = 1.0,  # times the size by the file's nodes
+    own_joints: bool = False,  # keep the joints, without a map
     holds: NDArray[np.bool_] | None = None,  # [N] nodes that move vertices
 ) -> Rig:
-    """The rig of a file. Raises FormatError for one that cannot be used."""
+    """Return the rig of a file. Raises FormatError if it cannot be used."""
     try:
         with np.errstate(all="ignore"):
             bound = bound_of(container, graph, skins)
@@ -87,7 +87,7 @@ def rig_of(
 
 
 def _one_person(container: Container, graph: Graph, skins: Sequence[int], names: list[str], points: F64) -> list[str]:
-    """The names, but of whole skeletons beside the first: of two people one is driven, not some joints of each."""
+    """Return the names, "" outside the first skeleton if another is a whole person too: only one person is driven."""
     joints = {node for skin in skins for node in container.gltf.skins[skin].joints}
     tops: dict[int, int] = {}
     for node in graph.order:  # parents come before children
@@ -109,7 +109,7 @@ def _one_person(container: Container, graph: Graph, skins: Sequence[int], names:
 
 
 def _by_shape(container: Container, graph: Graph, bound: Bound, skins: Sequence[int]) -> dict[str, int]:
-    """SMPL-X joint -> node, of a skeleton that stands like a person."""
+    """Return SMPL-X joint -> node for a skeleton that stands like a person."""
     may = np.zeros(len(container.gltf.nodes), bool)
     for skin in skins:
         may[container.gltf.skins[skin].joints] = True
@@ -130,7 +130,7 @@ def _thing(
     scale: float,
     why: str,
 ) -> Rig:
-    """With its own joints, as it rests."""
+    """Return a rig with its own joints, in its rest pose."""
     gltf = container.gltf
     used = dict.fromkeys([node for skin in skins for node in gltf.skins[skin].joints])
     used |= dict.fromkeys(rigid)

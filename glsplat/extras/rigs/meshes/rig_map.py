@@ -1,4 +1,4 @@
-"""A user's own map of a rig: {"left_hip": "MyThigh_L", "jaw": null, ...}, SMPL-X joint -> name of a node, or none."""
+"""A user's map of a rig: {"left_hip": "MyThigh_L", "jaw": null, ...}, SMPL-X joint -> name of a node, or none."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LARGEST = 1 << 20  # bytes
 
 
 def read_rig_map(path: str | Path) -> dict[str, str | None]:
-    """The map in a JSON file. Raises FormatError naming the file and the entry."""
+    """Read the map from a JSON file. Raises FormatError naming the file and the entry."""
     with naming(path):
         found = read_json(path, "a rig map", _LARGEST)
         if not isinstance(found, dict) or not found:

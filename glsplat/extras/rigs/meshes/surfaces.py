@@ -1,4 +1,4 @@
-"""Triangles of a glTF primitive: points at the default weights of their morph targets, and what colours them."""
+"""Triangles of a glTF primitive: points at the default weights of their morph targets, and their colours."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from glsplat.formats.gltf.schema import Primitive
 _UV, _COLOUR = "texture coordinates (now 0, 0)", "vertex colours (now white)"
 
 Materials = dict[int | None, Material]
-"""Those of a file that were read, by their index."""
+"""Materials read from a file, by their index."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Surface:
 
 
 def surface_of(container: Container, instance: Instance, weights: Sequence[float], materials: Materials) -> Surface:
-    """Triangles of an instance of mode TRIANGLES; ``weights`` of its morph targets. Raises FormatError."""
+    """Return the triangles of an instance; ``weights`` of its morph targets. Raises FormatError."""
     primitive, where = instance.primitive, instance.name
     points = container.numbers(primitive.attributes["POSITION"], f"{where} POSITION", ("VEC3",)).astype(np.float64)
     for target, weight in zip(primitive.targets, weights, strict=False):
@@ -44,7 +44,7 @@ def surface_of(container: Container, instance: Instance, weights: Sequence[float
                 raise FormatError(f"{where}: a morph target needs {len(points)} elements, as POSITION has")
             points = points + weight * moved.astype(np.float64)
     faces = _faces(container, primitive, where, len(points))
-    if primitive.material not in materials:  # a picture is decoded once, and held once
+    if primitive.material not in materials:  # decode a picture once
         materials[primitive.material] = material_of(container, primitive.material)
     material = materials[primitive.material]
     uv = _corners(container, primitive, where, material, faces, len(points))
@@ -67,7 +67,7 @@ def _faces(container: Container, primitive: Primitive, where: str, count: int) -
             raise FormatError(f"{where}: the indices need whole triangles, not {len(index)}")
         return index.reshape(-1, 3)
     around = np.stack([index[:-2], index[1:-1], index[2:]], axis=1) if len(index) > 2 else np.empty((0, 3), np.int64)
-    if primitive.mode == 5:  # a strip: every second one is turned about
+    if primitive.mode == 5:  # a strip: every second triangle is reversed
         around[1::2] = around[1::2, [1, 0, 2]]
     else:  # a fan
         around[:, 0] = index[0] if len(index) else 0
@@ -77,7 +77,7 @@ def _faces(container: Container, primitive: Primitive, where: str, count: int) -
 def _corners(
     container: Container, primitive: Primitive, where: str, material: Material, faces: NDArray[np.int64], count: int
 ) -> F64:
-    """[F, 3, 2] texture coordinates with v up, as the material turns them."""
+    """Return texture coordinates [F, 3, 2], v up, with the material's transform."""
     uv = np.zeros((count, 2))
     if f"TEXCOORD_{material.coordinates}" in primitive.attributes:
         name = f"TEXCOORD_{material.coordinates}"
@@ -91,7 +91,7 @@ def _corners(
 
 
 def _vertex_colours(container: Container, primitive: Primitive, where: str, count: int, opaque: bool) -> F64 | None:
-    """[V, 4] linear factors, without alpha of what is ``opaque``; None where all are white."""
+    """Return linear factors [V, 4], with alpha 1 if ``opaque``; None if all are white."""
     if "COLOR_0" not in primitive.attributes:
         return None
     values, _ = container.finite(primitive.attributes["COLOR_0"], f"{where} COLOR_0", ("VEC3", "VEC4"), _COLOUR, 1)

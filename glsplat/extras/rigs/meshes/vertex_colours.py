@@ -1,4 +1,4 @@
-"""Colours of vertices as a texture: a small square of texels a triangle, whose corners are the vertices' colours."""
+"""Bake vertex colours into a texture: a small square of texels for each triangle."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from glsplat.arrays import F64
 from glsplat.meshes import MeshPart
 from glsplat.pictures import to_linear, to_srgb
 
-_LEAST, _UNEVEN, _MOST = 3, 9, 24  # texels a side of a square; three hold what three corners say
-_EVEN = 0.15  # of a factor; within a triangle of less, three do
-_SIDE = 8192  # texels a side of all
+_LEAST, _UNEVEN, _MOST = 3, 9, 24  # texels a side of a square: fewest, for uneven colours, most
+_EVEN = 0.15  # range of factors in a triangle below which the fewest suffice
+_SIDE = 8192  # texels a side of the texture
 
 
 def painted(
@@ -20,13 +20,13 @@ def painted(
     uv: F64,  # [F, 3, 2] of the texture, v up
     texture: NDArray[np.uint8],  # [H, W, 4]
 ) -> tuple[F64, NDArray[np.uint8]]:
-    """Coordinates [F, 3, 2] into a new texture that holds ``texture`` times the colours, interpolated linearly."""
+    """Return coordinates [F, 3, 2] into a new texture: ``texture`` times the linearly interpolated colours."""
     count = len(faces)
     side = _texels(uv, texture, colours[faces])
     across = int(np.ceil(np.sqrt(count)))
     down = -(-count // across)
     steps = np.arange(side) / (side - 1)
-    b, c = np.meshgrid(steps, steps)  # of the second and the third corner; beyond the triangle it goes on evenly
+    b, c = np.meshgrid(steps, steps)  # of the second and the third corner; extrapolated beyond the triangle
     weights = np.stack([1 - b - c, b, c], axis=-1)  # [S, S, 3]
     out = np.empty((down, side, across, side, 4), np.uint8)
     part = MeshPart("", faces.astype(np.int32), uv, texture)
@@ -49,9 +49,9 @@ def painted(
 
 
 def _texels(uv: F64, texture: NDArray[np.uint8], corners: F64) -> int:
-    """A side of a square: about what the triangles have of the texture already, and what their colours need.
+    """Return texels a side of a square: about the triangles' present resolution, and enough for their colours.
 
-    Between texels colours are mixed as they are stored (sRGB), not as they are added (linear).
+    Colours between texels are mixed in sRGB, not in linear light.
     """
     spread = float(np.percentile(np.ptp(corners, axis=1).max(axis=1), 95))
     least = _LEAST if spread < _EVEN else _UNEVEN

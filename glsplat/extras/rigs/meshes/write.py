@@ -1,8 +1,8 @@
-"""Textured, skinned meshes as glTF 2.0 that other programs open; reader.py reads them back.
+"""Write textured, skinned meshes as glTF 2.0 for other programs; reader.py reads them back.
 
-Colours are shown as they are (KHR_materials_unlit): a picture's light is in them already. Where a texture has holes
-(alpha below one half) the material is MASK. A texture that is large and whole is a JPEG of quality 95 without chroma
-subsampling: a photograph's 2048 x 2048 texels are 0.7 MB so and 2.5 MB as PNG. All others are PNG, which loses nothing.
+Materials are unlit (KHR_materials_unlit), as the colours contain the picture's light. A texture with holes (alpha
+below one half) has the material MASK. A large texture without holes is a JPEG of quality 95 without chroma
+subsampling: 2048 x 2048 texels of a photograph take 0.7 MB, and 2.5 MB as PNG. All others are PNG.
 """
 
 from __future__ import annotations
@@ -30,12 +30,11 @@ _LINEAR, _MIPMAPS = 9729, 9987
 
 
 def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = None) -> None:
-    """Write a .glb, or where ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
+    """Write a .glb, or if ``target`` ends in .gltf one JSON file with its buffer ``embedded``.
 
-    A primitive and a material for each part, named as it is, the mesh's expressions as morph targets; the nodes of the
-    joints have the joints' names; ``meta`` goes into ``asset.extras``. Positions, weights and texture coordinates are
-    float32, of each vertex's influences the eight strongest. Raises FormatError when ``target`` cannot be written or
-    the notes are not JSON.
+    Each part becomes a primitive and a material of its name, expressions become morph targets, joints become nodes of
+    their names, and ``meta`` becomes ``asset.extras``. Positions, weights and texture coordinates are float32; a vertex
+    has its eight strongest influences. Raises FormatError if ``target`` cannot be written or the notes are not JSON.
     """
     out = Output()
     gltf = out.gltf
@@ -63,7 +62,7 @@ def save_gltf_mesh(mesh: RiggedMesh, target: Source, *, embedded: bool | None = 
 
 
 def _primitive(out: Output, mesh: RiggedMesh, skin: Skin, part: MeshPart, material: int) -> Primitive:
-    """The triangles of a part; a vertex for each pair of a place and a texture coordinate."""
+    """Write a part's triangles, with a vertex for each pair of a position and a texture coordinate."""
     uv = np.stack([part.uv[..., 0], 1 - part.uv[..., 1]], axis=-1).astype(np.float32).reshape(-1, 2)  # v points down
     corners = np.empty(len(uv), [("vertex", np.int32), ("uv", np.uint64)])
     corners["vertex"], corners["uv"] = part.faces.ravel(), uv.view(np.uint64)[:, 0]
@@ -81,7 +80,7 @@ def _primitive(out: Output, mesh: RiggedMesh, skin: Skin, part: MeshPart, materi
 
 
 def _targets(out: Output, morphs: Morphs, count: int, vertex: NDArray[np.int32]) -> list[dict[str, int]]:
-    """Morph targets of a part whose vertices are ``vertex`` of the mesh's ``count``: those that move, sparse."""
+    """Write morph targets of a part, sparse; its vertices are ``vertex`` of the mesh's ``count``."""
     targets = []
     for target in range(len(morphs)):
         part = slice(*morphs.starts[target : target + 2])
@@ -103,7 +102,7 @@ def _material(part: MeshPart, texture: int) -> dict[str, Any]:
 
 
 def _add_texture(out: Output, part: MeshPart) -> int:
-    """Index of a new texture."""
+    """Add a texture and return its index."""
     bgra = np.ascontiguousarray(part.texture[..., [2, 1, 0, 3]])
     picture = np.ascontiguousarray(bgra[..., :3]) if _whole(part) else bgra
     large = _whole(part) and picture.shape[0] * picture.shape[1] > _SMALL

@@ -12,10 +12,10 @@ from glsplat.extras.speech.face.osc import osc_messages
 from glsplat.extras.speech.face.unified import gaze_of, parameter_of, weights_of
 from glsplat.tracking.sample import Sample
 
-HOLD_S = 0.5  # without a packet that the face keeps its shape ...
+HOLD_S = 0.5  # time without a packet for which the face keeps its shape ...
 RELAX_S = 0.25  # ... and the time constant of its relaxation afterwards
-FORGET_S = 3.0  # without a packet until all values are dropped
-WEARER_TIMEOUT_S = 2.0  # without a sample of the wearer until another user may have the face
+FORGET_S = 3.0  # time without a packet after which all values are dropped
+WEARER_TIMEOUT_S = 2.0  # time without a sample of the wearer after which another user may have the face
 _MAX_VALUE = 2.0  # of a parameter; larger ones are invalid
 
 
@@ -44,7 +44,7 @@ class FaceFeed:
             self.malformed += 1
 
     def face(self, now: float) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Return the weights of ARKit's shapes and the parameters they came from; both empty without a tracked face."""
+        """Return the weights of ARKit's shapes and their parameters; both empty without a tracked face."""
         with self._lock:
             age = now - self._received
             if age > FORGET_S:

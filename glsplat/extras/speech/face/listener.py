@@ -16,8 +16,8 @@ log: logging.Logger = logging.getLogger("glsplat.net")
 _HOST = "127.0.0.1"
 MAX_PACKET_BYTES = 16384  # VRCFaceTracking's bundles have 4096
 _RETRY_S = 0.2  # after a socket error
-_MAX_BUSY_S = 0.005  # of continuous work ...
-_PAUSE_FACTOR = 3.0  # ... after which it pauses this many times as long, so a flood occupies no core
+_MAX_BUSY_S = 0.005  # of continuous work before a pause ...
+_PAUSE_FACTOR = 3.0  # ... of this many times its length, so that a flood does not occupy a core
 
 
 class FaceListener:
@@ -30,7 +30,7 @@ class FaceListener:
             self._socket.bind((_HOST, port))
         except OSError as error:
             self._socket.close()
-            raise GlsplatError(f"UDP port {port} cannot be listened at ({error.strerror}); choose another") from None
+            raise GlsplatError(f"UDP port {port} cannot be opened ({error.strerror}); choose another") from None
         self._socket.settimeout(0.2)
         self.port: int = self._socket.getsockname()[1]
         self._ends = threading.Event()
@@ -53,7 +53,7 @@ class FaceListener:
                 packet = self._socket.recv(MAX_PACKET_BYTES)
             except TimeoutError:
                 continue
-            except OSError as error:  # some systems report a sender that is gone
+            except OSError as error:  # some systems report a closed sender
                 if not failing:
                     log.warning("the face-tracking port cannot be read (%s); retrying", error.strerror)
                 failing = True

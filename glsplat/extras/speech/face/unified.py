@@ -14,7 +14,7 @@ from glsplat.skinning.expression import ARKIT, arkit_name
 _PREFIX = "/avatar/parameters/"  # then perhaps FT/v2/, v2/, or a prefix of the avatar's maker
 
 Part = tuple[str, float]  # a parameter with the sign of its conversion, and its share
-Ways = tuple[tuple[Part, ...], ...]  # alternatives; the first with received values counts
+Ways = tuple[tuple[Part, ...], ...]  # alternatives; the first with received values is used
 
 # conversions by sign: identity, positive half, negative half, complement to 1, lids that close, lids that widen
 _CONVERSIONS: dict[str, Callable[[float], float]] = {

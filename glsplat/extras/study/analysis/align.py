@@ -1,8 +1,8 @@
-"""The aligned rank transform: each answer less all effects but one, then ranked; that one is then tested.
+"""The aligned rank transform (ART): remove all effects but one from the answers, then rank them to test that effect.
 
 Wobbrock, Findlater, Gergle and Higgins (2011), "The aligned rank transform for nonparametric factorial analyses using
 only ANOVA procedures"; for contrasts Elkin, Kay, Higgins and Wobbrock (2021), "An aligned rank transform procedure for
-multifactor contrast tests" (ART-C). Means are over answers, as in ARTool, also where cells have different numbers.
+multifactor contrast tests" (ART-C). Means weight all answers equally, as in ARTool, also in unbalanced designs.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ DRAWS = 25
 
 
 def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
-    """Residuals plus the estimated effect (Wobbrock et al. 2011, steps 1 to 3), [..., N].
+    """Return residuals plus the estimated effect (Wobbrock et al. 2011, steps 1 to 3), [..., N].
 
-    ``values``: other answers on the same rows, [..., N]; the estimate is the alternating sum of the means over all
+    ``values``: other answers on the same rows, [..., N]. The estimate is the alternating sum of the means over all
     subsets of the effect's factors.
     """
     y = table.values if values is None else values
@@ -35,16 +35,16 @@ def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
 
 
 def ranked(table: Table, effect: Effect, values: F64 | None = None) -> F64:
-    """The ranks of :func:`aligned`, from 1, mean ranks for ties, [..., N]."""
+    """Return the ranks of :func:`aligned` from 1, mean ranks for ties, [..., N]."""
     return average_ranks(_settled(aligned(table, effect, values), table.values if values is None else values))
 
 
 def spread_ranks(table: Table, effect: Effect, step: float, values: F64 | None = None, seed: int = 0) -> F64:
-    """The mean of :func:`ranked` over 25 draws that spread each answer evenly over its step of the scale, [..., N].
+    """Return aligned ranks averaged over 25 draws that spread each answer evenly over one ``step``, [..., N].
 
-    On a coarse scale the alignment parts ties along the estimated effect itself, and ranks blow that up: ART finds
-    effects that are not there (Luepsen 2017, "The aligned rank transform and discrete variables: a warning"). Spread
-    answers have no ties that could be parted. This is no part of ARTool.
+    On a coarse scale alignment splits ties along the estimated effect, and ranking enlarges the split: ART finds
+    effects that do not exist (Luepsen 2017, "The aligned rank transform and discrete variables: a warning"). Spread
+    answers have no ties. ARTool does not do this.
     """
     y = table.values if values is None else values
     rng = np.random.default_rng(seed)
@@ -55,7 +55,7 @@ def spread_ranks(table: Table, effect: Effect, step: float, values: F64 | None =
 
 
 def step_of(values: F64) -> float | None:
-    """The smallest difference of a scale's answers [N]; None where fewer than half share theirs with another."""
+    """Return the smallest difference between answers [N] on a scale; None if fewer than half are tied, or all."""
     known, counts = np.unique(average_ranks(values), return_counts=True)
     if len(known) < 2 or counts[counts > 1].sum() < len(values) / 2:
         return None
@@ -65,25 +65,25 @@ def step_of(values: F64) -> float | None:
 
 
 def aligned_for_contrasts(table: Table, effect: Effect, values: F64 | None = None) -> F64:
-    """As the main effect of one factor whose levels are the combinations of the effect's (ART-C), [..., N]."""
+    """Return answers aligned as if the combinations of the effect's levels were one factor (ART-C), [..., N]."""
     y = table.values if values is None else values
     whole = tuple(range(len(table.factors)))
     return y - _means(table, whole, y) + _means(table, effect, y) - _means(table, (), y)
 
 
 def ranked_for_contrasts(table: Table, effect: Effect) -> F64:
-    """The ranks of :func:`aligned_for_contrasts`, [..., N]."""
+    """Return the ranks of :func:`aligned_for_contrasts`, [..., N]."""
     return average_ranks(_settled(aligned_for_contrasts(table, effect), table.values))
 
 
 def _settled(out: F64, y: F64) -> F64:
-    """Aligned values whose noise of rounding is gone: next to large answers it exceeds what small ones differ by."""
+    """Return aligned values with those within rounding error of the answers ``y`` set to 0, so that they are tied."""
     size = np.abs(y).max(axis=-1, keepdims=True, initial=0.0)
     return np.where(np.abs(out) <= 1e-12 * size, 0.0, out)
 
 
 def _means(table: Table, subset: Effect, y: F64) -> F64:
-    """Each row's mean over all rows that share its levels of these factors."""
+    """Return each row's mean over all rows with the same levels of these factors, [..., N]."""
     if not subset:
         return np.broadcast_to(y.mean(axis=-1, keepdims=True), y.shape)
     place = np.ravel_multi_index(tuple(table.codes[:, i] for i in subset), tuple(table.shape[i] for i in subset))

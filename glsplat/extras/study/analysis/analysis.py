@@ -1,4 +1,4 @@
-"""All that is said of one response: what is there, F tests, contrasts, effect sizes, and the plain tests beside them.
+"""Analyse one response: descriptive statistics, F tests, contrasts, effect sizes, and plain nonparametric tests.
 
 >>> result = analyse(read_table("scores.csv", ["type", "method"]))
 >>> [(row.effect, round(row.f, 2)) for row in result.effects]
@@ -29,7 +29,7 @@ ALPHA = 0.05
 
 @dataclass(frozen=True)
 class Cell:
-    """The answers in one condition, as given."""
+    """Descriptive statistics of the answers in one condition."""
 
     condition: str
     n: int
@@ -42,7 +42,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class EffectRow:
-    """The F test of one effect. ``epsilon`` and ``p_corrected`` (Greenhouse and Geisser) where sphericity matters."""
+    """The F test of one effect. ``epsilon`` and ``p_corrected`` (Greenhouse-Geisser) are set if sphericity matters."""
 
     effect: str
     f: float
@@ -52,20 +52,20 @@ class EffectRow:
     epsilon: float | None
     p_corrected: float | None
     eta_squared: EffectSize
-    """Partial."""
+    """Partial eta squared."""
     f_spread: float | None = None
-    """F and p with ties spread, of answers on a coarse scale (:func:`~.align.spread_ranks`)."""
+    """F and p with ties spread (:func:`~.align.spread_ranks`), for answers on a coarse scale."""
     p_spread: float | None = None
 
     @property
     def clear(self) -> bool:
-        """p < .05, also with ties spread."""
+        """Whether p < .05, also with ties spread."""
         return self.p < ALPHA and (self.p_spread is None or self.p_spread < ALPHA)
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """One response. ``contrasts`` are of main effects and interactions of two factors, a family an effect."""
+    """The analysis of one response. ``contrasts``: of main effects and two-way interactions, a family per effect."""
 
     table: Table
     model: Model
@@ -74,18 +74,18 @@ class Analysis:
     contrasts: tuple[Contrast, ...]
     plain: tuple[Omnibus, ...]
     plain_left_out: tuple[str, ...]
-    """Participants whom the plain tests leave out for their gaps."""
+    """Participants left out of the plain tests because an answer is missing."""
     stray_f: float
     """See :func:`~glsplat.extras.study.analysis.anova.stray`."""
 
     @property
     def unanswered(self) -> int:
-        """Answers that are missing of those that a full table has: empty ones, and conditions without a row."""
+        """Number of missing answers: empty values, and conditions without a row."""
         lost = int((self.table.answers == 0).sum())
         return max(lost, self.table.unanswered)
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers as they are; None for what is not finite."""
+        """Return the analysis as JSON values; None for numbers that are not finite."""
         table, model = self.table, self.model
         whole: dict[str, Any] = {
             "response": table.response,
@@ -108,9 +108,9 @@ class Analysis:
 
 
 def analyse(table: Table, kind: ModelName = "auto", seed: int = 0) -> Analysis:
-    """The aligned rank transform's F tests by the model that ``kind`` names, and what belongs to them.
+    """Return ART's F tests by the model ``kind``, with descriptive statistics, contrasts and plain tests.
 
-    ``seed``: of the bootstrap intervals of Cliff's delta. Raises FormatError for a table that the model cannot have.
+    ``seed``: of the bootstrap intervals of Cliff's delta. Raises FormatError if the table does not suit the model.
     """
     model = choose(table, kind)
     whole = tuple(range(len(table.factors)))
@@ -146,7 +146,7 @@ def analyse(table: Table, kind: ModelName = "auto", seed: int = 0) -> Analysis:
     try:
         complete = choose(table, "rm")
         plain, left_out = tuple(plain_tests(complete.table, seed)), complete.left_out
-    except FormatError:  # too few are complete: the plain tests have nobody
+    except FormatError:  # too few complete participants
         plain, left_out = (), table.incomplete
     return Analysis(table, model, tuple(cells), tuple(effects), tuple(contrasts), plain, left_out, stray(model))
 

@@ -1,4 +1,4 @@
-"""The aligned rank transform's F tests and contrasts: which model a table allows, and who is left out for it."""
+"""Choose a table's model; compute F tests and contrasts on aligned ranks."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ModelName = Literal["auto", "rm", "mixed"]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What is tested how: ``kind`` is rm (repeated-measures ANOVA) or mixed (random intercepts, REML)."""
+    """A table and its model: ``kind`` is rm (repeated-measures ANOVA) or mixed (random intercepts, REML)."""
 
     table: Table
     kind: Literal["rm", "mixed"]
     left_out: tuple[str, ...] = ()
-    """Participants without every condition, where the tests need all (listwise)."""
+    """Participants who lack a condition, left out by rm (listwise)."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class Contrast:
 
 
 def choose(table: Table, kind: ModelName = "auto") -> Model:
-    """The model of a table. Auto: rm where the design is balanced, else mixed, with all answers that there are.
+    """Return the model of a table. ``auto``: rm for a balanced design, else mixed, which uses all answers.
 
-    A study without within factors, with one answer a participant, is rm whatever its groups' sizes: an ordinary ANOVA.
-    Asked for rm, participants who lack a condition are left out. Raises FormatError where too few are left.
+    ``auto`` is also rm, an ordinary ANOVA, for one answer per participant and groups of any size. ``rm`` leaves out
+    participants who lack a condition. Raises FormatError if too few remain.
     """
     if kind == "auto":
         single = not table.within and bool((table.answers == 1).all())
@@ -68,7 +68,7 @@ def choose(table: Table, kind: ModelName = "auto") -> Model:
         )
     model = Model(table.of(kept) if gone else table, "rm", gone)
     if [f.within for f in model.table.factors] != [f.within for f in table.factors]:
-        raise FormatError("with the incomplete participants a within factor is lost; use a mixed model")
+        raise FormatError("without the incomplete participants a within factor is lost; use a mixed model")
     groups = int(np.prod([model.table.shape[i] for i in model.table.between]))
     if len(kept) <= groups:
         raise FormatError(f"expected more participants than groups, found {len(kept)} in {groups}")
@@ -76,12 +76,12 @@ def choose(table: Table, kind: ModelName = "auto") -> Model:
 
 
 def art(model: Model) -> list[FTest]:
-    """An F test for every main effect and interaction, each on its own aligned ranks."""
+    """Return an F test for every main effect and interaction, each on its own aligned ranks."""
     return [_test(model, effect, align.ranked(model.table, effect)) for effect in effects_of(len(model.table.factors))]
 
 
 def art_spread(model: Model) -> list[FTest] | None:
-    """As :func:`art`, on ranks whose ties are spread; None where the answers are on no coarse scale."""
+    """Return the F tests of :func:`art` on ranks with ties spread; None unless the scale is coarse."""
     step = align.step_of(model.table.values)
     if step is None:
         return None
@@ -90,9 +90,9 @@ def art_spread(model: Model) -> list[FTest] | None:
 
 
 def stray(model: Model) -> float:
-    """The largest F that any other effect has on answers aligned for one; 0 where alignment leaves nothing behind.
+    """Return the largest F of another effect on answers aligned for one effect; 0 if alignment removes them all.
 
-    ARTool's summary prints it. In unbalanced designs it is above 0, and ART the less exact the larger it is.
+    ARTool's summary prints it. It is above 0 in unbalanced designs; the larger it is, the less exact is ART.
     """
     table, worst = model.table, 0.0
     effects = effects_of(len(table.factors))
@@ -100,7 +100,7 @@ def stray(model: Model) -> float:
         rows = align.aligned(table, effect)
         if np.ptp(rows) == 0:
             continue
-        rows = rows / np.abs(rows).max()  # F knows no unit, floats do
+        rows = rows / np.abs(rows).max()  # F is scale-free; avoid overflow
         fitted = mixed.fit(table, rows) if model.kind == "mixed" else None
         others = [other for other in effects if other != effect]
         found = (
@@ -113,7 +113,7 @@ def stray(model: Model) -> float:
 
 
 def art_contrasts(model: Model, effect: Effect) -> list[Contrast]:
-    """All pairs of the effect's conditions by ART-C, corrected by Holm; none where nothing varies."""
+    """Return ART-C contrasts of all pairs of the effect's conditions, corrected by Holm; [] if nothing varies."""
     table = model.table
     rows = align.ranked_for_contrasts(table, effect)
     names = conditions(table, effect)
@@ -142,12 +142,12 @@ def art_contrasts(model: Model, effect: Effect) -> list[Contrast]:
 
 
 def name_of(table: Table, effect: Iterable[int]) -> str:
-    """As R writes it: type:method."""
+    """Return the effect's name as R writes it: type:method."""
     return ":".join(table.factors[i].name for i in effect)
 
 
 def conditions(table: Table, effect: Effect) -> list[str]:
-    """The combinations of the effect's levels, the last factor's the fastest: "self, ours"."""
+    """Return the combinations of the effect's levels, such as "self, ours"; the last factor varies fastest."""
     places = np.ndindex(*(table.shape[i] for i in effect))
     return [", ".join(table.factors[i].levels[k] for i, k in zip(effect, place, strict=True)) for place in places]
 

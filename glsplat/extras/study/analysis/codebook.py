@@ -1,6 +1,6 @@
-"""The sidecar of a study's table: factors with their levels in order, measures with their items, and their answers.
+"""Read the sidecar of a study's table: factors with ordered levels, and measures with their items.
 
-``scores.json`` beside ``scores.csv``, as ``glsplat study export`` writes it, has them under the key "Study".
+``glsplat study export`` writes it to ``scores.json`` beside ``scores.csv``, under the key "Study".
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST_BYTES = 4 << 20
 
 @dataclass(frozen=True)
 class Measure:
-    """A response: its items as questionnaire.item, those that are reversed, and the scale's ends."""
+    """A response: its items as questionnaire.item, the reversed ones, and the scale's ends."""
 
     name: str
     items: tuple[str, ...] = ()
@@ -40,7 +40,7 @@ class Codebook:
 
 
 def read_codebook(path: Path) -> Codebook | None:
-    """The sidecar in this file; None where there is no such file, or it says nothing of a study. Raises FormatError."""
+    """Return the sidecar in a file; None if there is no file, or no key "Study" in it. Raises FormatError."""
     if not path.is_file():
         return None
     whole = read_json(path, "a sidecar", MOST_BYTES)
@@ -58,10 +58,10 @@ def read_codebook(path: Path) -> Codebook | None:
 
 
 def item_answers(path: str | Path, measure: Measure) -> F64:
-    """Answers [N, K] to a measure's items, NaN where there is none, reversed ones turned.
+    """Return answers [N, K] to a measure's items, NaN where missing, with reversed items turned back.
 
-    A row is one time that a participant was asked. ``path``: a CSV file with the columns participant, step,
-    questionnaire, item and value. Raises FormatError.
+    A row is one participant and step. ``path``: a CSV file with the columns participant, step, questionnaire, item
+    and value. Raises FormatError.
     """
     wanted = ("participant", "step", "questionnaire", "item", "value")
     asked: dict[tuple[str, str], F64] = {}
@@ -81,7 +81,7 @@ def item_answers(path: str | Path, measure: Measure) -> F64:
 
 
 def wide_items(path: str | Path, items: Sequence[str]) -> F64:
-    """Answers [N, K] from a table with a column an item, NaN where a cell is empty. Raises FormatError."""
+    """Return answers [N, K] from a table with one column per item, NaN for an empty cell. Raises FormatError."""
     found = [[number_of(path, line, name, row[name]) for name in items] for line, row in read_rows(path, items)]
     return np.array([[np.nan if value is None else value for value in row] for row in found])
 

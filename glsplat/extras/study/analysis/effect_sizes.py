@@ -1,4 +1,4 @@
-"""How large an effect is, with an interval: partial eta squared of an F test, Cliff's delta of two conditions."""
+"""Effect sizes with confidence intervals: partial eta squared of an F test, Cliff's delta of two conditions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glsplat.extras.statistics.ranks import TIE
 
 @dataclass(frozen=True)
 class EffectSize:
-    """A value and its interval; NaN where there is none."""
+    """A value and its 95 % interval; NaN where undefined."""
 
     value: float
     low: float
@@ -24,10 +24,10 @@ class EffectSize:
 
 
 def partial_eta_squared(f: float, df1: float, df2: float) -> EffectSize:
-    """F df1 / (F df1 + df2), and the interval from those noncentral F distributions that F just fits into.
+    """Return F df1 / (F df1 + df2), with an interval from noncentral F distributions.
 
-    Steiger (2004), "Beyond the F test": limits l of the noncentrality become l / (l + df1 + df2 + 1). Of a
-    within-subject effect it is the usual approximation.
+    Steiger (2004), "Beyond the F test": limits l of the noncentrality become l / (l + df1 + df2 + 1). For
+    within-subject effects this is the usual approximation.
     """
     nan = float("nan")
     if not (np.isfinite(f) and df2 > 0):
@@ -38,7 +38,7 @@ def partial_eta_squared(f: float, df1: float, df2: float) -> EffectSize:
 
 
 def _noncentrality(f: float, df1: float, df2: float, share: float) -> float:
-    """Where this share of the noncentral F distribution lies below f; 0 where even the central one has less."""
+    """Return the noncentrality at which P(F < f) is ``share``; 0 if P(F < f) of the central F is less."""
 
     def above(noncentrality: float) -> float:
         return float(ncfdtr(df1, df2, noncentrality, f)) - share
@@ -53,17 +53,17 @@ def _noncentrality(f: float, df1: float, df2: float, share: float) -> float:
 
 @lru_cache(maxsize=8)
 def _resampled(count: int, seed: int) -> F64:
-    """How often each of so many participants is in each bootstrap sample, [RESAMPLES, count]."""
+    """Return how often each of ``count`` participants is in each bootstrap sample, [RESAMPLES, count]."""
     drawn = np.random.default_rng(seed).multinomial(count, np.full(count, 1 / count), RESAMPLES).astype(float)
     drawn.flags.writeable = False
     return drawn
 
 
 def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0) -> EffectSize:
-    """How much more often an answer [N] of the first is larger than one [M] of the second than the reverse.
+    """Return Cliff's delta, P(first > second) - P(first < second), of answers [N] and [M].
 
-    Cliff (1993), "Dominance statistics": 1 where every one is larger, 0 where neither prevails. The interval is the
-    percentiles of 10,000 bootstrap samples of participants; ``paired``: both are of the same ones, who stay together.
+    Cliff (1993), "Dominance statistics". The interval is the percentiles of 10,000 bootstrap samples of participants.
+    ``paired``: both arrays have the same participants in the same order, who are resampled together.
     """
     nan = float("nan")
     if not len(first) or not len(second):

@@ -13,35 +13,34 @@ from scipy.linalg import helmert
 from glsplat.arrays import F64
 
 Effect = tuple[int, ...]
-"""Places of the factors that an effect is of: (0,) a main effect, (0, 2) an interaction."""
+"""Indices of an effect's factors: (0,) is a main effect, (0, 2) an interaction."""
 
 
 def effects_of(count: int) -> list[Effect]:
-    """Every main effect and interaction of so many factors, those of few factors first (the order of R)."""
+    """Return all main effects and interactions of ``count`` factors, those of few factors first (the order of R)."""
     return [effect for size in range(1, count + 1) for effect in combinations(range(count), size)]
 
 
 @lru_cache(maxsize=256)
 def hypothesis(shape: tuple[int, ...], effect: Effect) -> F64:
-    """What the cell means [prod(shape)] times this matrix's rows are 0 under: no such effect.
+    """Return the contrasts [d, prod(shape)] of cell means that are 0 without the effect; rows are orthonormal.
 
-    Every cell counts alike, however many answers it has: type III sums of squares (sum contrasts in R). Rows are
-    orthonormal.
+    Cells weigh the same, however many answers they have: type III sums of squares (sum contrasts in R).
     """
     parts = [helmert(n) if i in effect else np.full((1, n), 1 / math.sqrt(n)) for i, n in enumerate(shape)]
     out = kron(parts)
-    out.flags.writeable = False  # kept for the next call
+    out.flags.writeable = False  # cached
     return out
 
 
 def averages(shape: Sequence[int], effect: Effect) -> F64:
-    """The means over all other factors, one row a combination of the effect's levels: estimated marginal means."""
+    """Return the weights [K, prod(shape)] of estimated marginal means, a row for each of the effect's K cells."""
     parts = [np.eye(n) if i in effect else np.full((1, n), 1 / n) for i, n in enumerate(shape)]
     return kron(parts)
 
 
 def kron(parts: Sequence[F64]) -> F64:
-    """The Kronecker product of all of them; [[1]] of none."""
+    """Return the Kronecker product of all ``parts``; [[1]] for none."""
     out: F64 = np.ones((1, 1))
     for part in parts:
         out = np.asarray(np.kron(out, part), np.float64)

@@ -1,11 +1,11 @@
-"""A linear mixed model with a random intercept for each participant, by REML; tests by Kenward and Roger.
+"""A linear mixed model with a random intercept for each participant, fitted by REML; Kenward-Roger tests.
 
 The model of lme4's lmer(rank ~ all factors and interactions + (1 | participant)). Covariance, degrees of freedom and
 scale of F are those of Kenward and Roger (1997), "Small sample inference for fixed effects from restricted maximum
 likelihood", as in pbkrtest (Halekoh and Hojsgaard 2014), which car's Anova, ARTool and emmeans use on such a model.
 
 The fixed effects are the means of the design's cells. One participant's covariance is s2 (I + r J) with J all ones: its
-powers have closed forms, and all that the equations need are counts and sums.
+powers have closed forms, so the equations need only counts and sums.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .table import Table
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Cell means [C], their covariance [C, C], adjusted for the variances being estimates, and what KR's tests need."""
+    """Cell means [C], their covariance [C, C] before and after Kenward and Roger's adjustment, and terms of tests."""
 
     means: F64
     covariance: F64
@@ -35,14 +35,14 @@ class Fit:
     residual: float
     """Variance within a participant."""
     intercepts: float
-    """Variance of the participants' own levels."""
+    """Variance of the random intercepts."""
     pieces: tuple[F64, F64]
     information: F64
     """Covariance of the two variances, [2, 2]."""
 
 
 def fit(table: Table, rows: F64) -> Fit | None:
-    """REML on rows [N]; None where nothing varies within participants. Raises FormatError where too few answers are."""
+    """Return the REML fit to rows [N]; None if only the intercepts vary. Raises FormatError for too few answers."""
     cells = int(np.prod(table.shape))
     seen = np.zeros((len(table.names), cells))  # how often each participant answered each cell
     np.add.at(seen, (table.participant, table.cell), 1)
@@ -61,7 +61,7 @@ def fit(table: Table, rows: F64) -> Fit | None:
     free = len(y) - cells
 
     def solve(ratio: float) -> tuple[float, F64, float, F64]:
-        """-2 log restricted likelihood (up to a constant), means, weighted residual sum, inverse of X'V^-1 X s2."""
+        """Return -2 log restricted likelihood + const, means, residual sum of squares, Cholesky root of s2 X'V^-1 X."""
         shrink = ratio / (1 + n * ratio)
         root = cholesky(np.diag(counts) - (seen.T * shrink) @ seen, lower=True)
         right = sums - seen.T @ (shrink * own)
@@ -78,7 +78,7 @@ def fit(table: Table, rows: F64) -> Fit | None:
     heights = [solve(float(np.exp(t)))[0] for t in tries]
     best = int(np.argmin(heights))
     if best == len(tries) - 1 or not np.isfinite(heights[best]):
-        return None  # participants differ and nothing else does
+        return None  # only the intercepts vary
     bounds = (tries[max(best - 1, 0)], tries[best + 1])
     found = minimize_scalar(
         lambda t: solve(float(np.exp(t)))[0], bounds=bounds, method="bounded", options={"xatol": 1e-9}
@@ -91,19 +91,19 @@ def fit(table: Table, rows: F64) -> Fit | None:
 
 
 def _adjusted(means: F64, covariance: F64, variance: float, ratio: float, seen: F64) -> Fit:
-    """Kenward and Roger's covariance of the means: their equation 3, with V linear in the two variances."""
+    """Return the fit with Kenward and Roger's covariance of the means (equation 3; V is linear in both variances)."""
     a, n, counts = 1 / variance, seen.sum(axis=1), np.diag(seen.sum(axis=0))
     w = 1 / (1 + n * ratio)
 
     def over(weights: F64) -> F64:
-        """The sum over participants of weight times X_i' J X_i."""
+        """Return the sum over participants of weight times X_i' J X_i."""
         return (seen.T * weights) @ seen
 
     def power(k: int) -> F64:
-        """X' (V s2)^-k X, V s2 = I + r J: J's direction is scaled by w^k, all others by 1."""
+        """Return X' (V / s2)^-k X with V / s2 = I + r J: the power scales J's direction by w^k, all others by 1."""
         return counts - over((1 - w**k) / n)
 
-    P = (-(a**2) * over(w**2), -(a**2) * power(2))  # of the intercepts' variance, of the residual
+    P = (-(a**2) * over(w**2), -(a**2) * power(2))  # for the intercepts' variance, for the residual's
     Q = ((a**3 * over(n * w**3), a**3 * over(w**3)), (a**3 * over(w**3), a**3 * power(3)))
     traces = a**2 * np.array([[((n * w) ** 2).sum(), (n * w**2).sum()], [(n * w**2).sum(), (n - 1 + w**2).sum()]])
     information = np.empty((2, 2))
@@ -118,7 +118,7 @@ def _adjusted(means: F64, covariance: F64, variance: float, ratio: float, seen: 
 
 
 def test(table: Table, effect: Effect, model: Fit | None) -> FTest:
-    """Kenward and Roger's F of one effect, type III."""
+    """Return Kenward and Roger's type III F test of one effect; NaN without a model."""
     L = hypothesis(table.shape, effect)
     if model is None:
         return FTest(effect, float("nan"), len(L), float("nan"), float("nan"))
@@ -129,14 +129,14 @@ def test(table: Table, effect: Effect, model: Fit | None) -> FTest:
 
 
 def contrasts(table: Table, effect: Effect, model: Fit, weights: F64) -> tuple[F64, F64, F64]:
-    """Estimate, standard error and degrees of freedom of contrasts [C, cells of the effect] of marginal means."""
+    """Return estimates, standard errors and degrees of freedom [C] of contrasts [C, cells] of marginal means."""
     L = weights @ averages(table.shape, effect)
     error = np.sqrt(np.einsum("ca,ab,cb->c", L, model.adjusted, L))
     return L @ model.means, error, np.array([_degrees(model, row[None])[0] for row in L])
 
 
 def _degrees(model: Fit, L: F64) -> tuple[float, float]:
-    """The denominator's degrees of freedom and the scale of F (Kenward and Roger 1997, section 3)."""
+    """Return the denominator's degrees of freedom and the scale of F (Kenward and Roger 1997, section 3)."""
     q = len(L)
     theta = L.T @ np.linalg.solve(L @ model.covariance @ L.T, L)
     shapes = [theta @ model.covariance @ P @ model.covariance for P in model.pieces]
@@ -148,7 +148,7 @@ def _degrees(model: Fit, L: F64) -> tuple[float, float]:
     c = 3 * q + 2 * (1 - g)
     v0, v1, v2 = 1 + g / c * b, 1 - (q - g) / c * b, 1 - (q + 2 - g) / c * b
     share = 1 - a2 / q
-    # of a difference of 0 by 0 (balanced designs of few answers) pbkrtest takes the quotient as 1
+    # small balanced designs can give 0 / 0, which pbkrtest takes as 1
     quotient = 1.0 if abs(share) < 1e-14 and abs(v1) < 1e-14 else share / v1
     rho = quotient**2 * (0.0 if abs(v0) < 1e-10 else v0) / v2 / q
     df = 4 + (q + 2) / (q * rho - 1)

@@ -1,6 +1,6 @@
-"""The plain alternative, one factor at a time: Friedman and Wilcoxon, Kruskal-Wallis and Mann-Whitney.
+"""Plain nonparametric tests, one factor at a time: Friedman and Wilcoxon, Kruskal-Wallis and Mann-Whitney.
 
-Each participant counts once a level, by the mean over all other factors. What interactions there are is not seen.
+Each participant counts once per level, by the mean over all other factors. Interactions are not tested.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from .repeated import split
 from .table import Table
 
 MOST_CONDITIONS = 24
-"""Of an effect whose pairs are all compared: 276 of them."""
+"""Largest number of conditions of an effect whose pairs are compared: 276 pairs."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two conditions, first less second: Wilcoxon's signed ranks (exact), or Mann-Whitney between participants."""
+    """A test of ``first - second``: Wilcoxon's signed ranks (exact), or Mann-Whitney between participants."""
 
     effect: str
     first: str
@@ -39,12 +39,12 @@ class Pair:
     p_holm: float
     rank_biserial: float | None
     delta: EffectSize
-    """Cliff's."""
+    """Cliff's delta."""
 
 
 @dataclass(frozen=True)
 class Omnibus:
-    """All levels of a factor at once; ``pairs`` are one family for Holm."""
+    """A test of all levels of a factor; ``pairs`` are one family for Holm."""
 
     effect: str
     test: str
@@ -56,7 +56,7 @@ class Omnibus:
 
 
 def plain_tests(table: Table, seed: int = 0) -> list[Omnibus]:
-    """One for every factor, and one for all within conditions where there are several within factors.
+    """Return a test for each factor, and one of all within conditions if there are several within factors.
 
     ``table`` has to be complete: every participant has every condition.
     """
@@ -88,9 +88,9 @@ def plain_tests(table: Table, seed: int = 0) -> list[Omnibus]:
 
 
 def friedman(answers: F64) -> tuple[float, int, float]:
-    """Statistic, degrees of freedom and p of [N, K], corrected for ties (Conover 1999); 0 and 1 where all are tied.
+    """Return statistic, degrees of freedom and p of answers [N, K], corrected for ties (Conover 1999).
 
-    scipy.stats.friedmanchisquare refuses K = 2.
+    If all are tied, statistic and p are 0 and 1. scipy.stats.friedmanchisquare refuses K = 2.
     """
     k = answers.shape[1]
     ranks = average_ranks(answers) - (k + 1) / 2
@@ -100,8 +100,8 @@ def friedman(answers: F64) -> tuple[float, int, float]:
 
 
 def kruskal_wallis(groups: list[F64]) -> tuple[float, int, float]:
-    """Statistic, degrees of freedom and p, corrected for ties; 0 and 1 where all are tied."""
-    ranks = average_ranks(np.concatenate(groups))  # of ranks: what rounding parts stays tied
+    """Return statistic, degrees of freedom and p, corrected for ties; if all are tied, statistic 0 and p 1."""
+    ranks = average_ranks(np.concatenate(groups))  # keep values tied that differ only by rounding
     if np.ptp(ranks) == 0:
         return 0.0, len(groups) - 1, 1.0
     ends = np.cumsum([len(group) for group in groups])[:-1]
@@ -114,7 +114,7 @@ def _pair(effect: str, first: str, second: str, a: F64, b: F64, paired: bool, se
     if paired:
         p = wilcoxon(a - b)
         return Pair(effect, first, second, "Wilcoxon", len(a), p, p, rank_biserial(a - b), delta)
-    ranks = average_ranks(np.concatenate([a, b]))  # of ranks: what rounding parts stays tied
+    ranks = average_ranks(np.concatenate([a, b]))  # keep values tied that differ only by rounding
     tied = len(np.unique(ranks)) < len(ranks)
     if np.ptp(ranks) == 0:
         p = 1.0

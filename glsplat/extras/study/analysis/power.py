@@ -1,4 +1,4 @@
-"""Power by simulation: how often a planned study would find an effect that is there, and one that is not.
+"""Power by simulation: how often a planned study finds an effect that exists, and one that does not.
 
 >>> plan = Planned({"type": ("self", "other"), "method": ("ours", "video", "image")}, participants=24)
 >>> [round(row.power, 2) for row in power(plan.draws({"type": (0.4,)}), plan.table, runs=1000)]
@@ -26,7 +26,7 @@ from .repeated import f_tests, split
 from .table import Table, make_table
 
 Draws = Callable[[np.random.Generator, int], F64]
-"""Answers [runs, N] of so many studies, on the rows of the planned table."""
+"""Draws the answers [runs, N] of ``runs`` studies, on the rows of the planned table."""
 
 CHUNK = 100  # studies drawn at once
 MOST_ROWS = 20_000
@@ -34,7 +34,7 @@ MOST_ROWS = 20_000
 
 @dataclass(frozen=True)
 class Power:
-    """How many of the simulated studies had p below alpha, and the 95 % interval of that share (Clopper-Pearson)."""
+    """Number of simulated studies with p below alpha, and the 95 % interval of their share (Clopper-Pearson)."""
 
     effect: str
     runs: int
@@ -44,16 +44,16 @@ class Power:
 
     @property
     def power(self) -> float:
-        """The share."""
+        """Share of studies with p below alpha."""
         return self.found / self.runs
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A study that is planned: factors with levels, those between participants, and how many take part in all.
+    """A planned study: factors with levels, those ``between`` participants, and the total of participants.
 
     ``correlation``: of two answers of one participant. ``points``: of a rating scale, whose middle is the mean and
-    whose step is 4 / (points - 1) standard deviations; None for answers on a continuous scale. Raises FormatError.
+    whose step is 4 / (points - 1) standard deviations; None for a continuous scale. Raises FormatError.
     """
 
     factors: Mapping[str, Sequence[str]]
@@ -80,7 +80,7 @@ class Planned:
 
     @cached_property
     def table(self) -> Table:
-        """Its rows, with answers of 0; participants go to the groups in turn."""
+        """The study's table with all answers 0; participants are assigned to groups in turn."""
         groups = list(itertools.product(*(self.factors[name] for name in self.factors if name in self.between)))
         rows: list[tuple[str, Sequence[str], float]] = []
         for number in range(self.participants):
@@ -90,11 +90,11 @@ class Planned:
         return make_table("answer", self.factors, rows)
 
     def means(self, effects: Mapping[str, Sequence[float]]) -> F64:
-        """The mean of each condition in standard deviations of an answer, [levels of each factor].
+        """Return the mean of each condition in standard deviations of an answer, [levels of each factor].
 
-        Of each effect ("type", "type:method") one number, the largest difference between its conditions, or one number
-        a condition. One number: levels evenly apart, in an interaction the product of such steps. What is of lower
-        effects is taken out of an interaction's numbers. Raises FormatError.
+        Each effect ("type", "type:method") has one number, the largest difference between its conditions, or one
+        number per condition. One number spaces levels evenly; interactions are products of such steps. Lower effects
+        are removed from an interaction's numbers. Raises FormatError.
         """
         names = list(self.factors)
         shape = [len(self.factors[name]) for name in names]
@@ -122,7 +122,7 @@ class Planned:
         return total
 
     def draws(self, effects: Mapping[str, Sequence[float]]) -> Draws:
-        """Normal answers with these effects, rounded to the scale's points where there is one."""
+        """Return a function that draws normal answers with these effects, rounded to ``points`` if set."""
         table = self.table
         means = self.means(effects).ravel()[table.cell]
 
@@ -139,9 +139,9 @@ class Planned:
 
 
 def from_pilot(pilot: Table, participants: int) -> tuple[Draws, Table]:
-    """Studies of so many participants drawn with replacement from the complete ones of a pilot, within its groups.
+    """Return draws of ``participants`` from a pilot's complete ones, with replacement within groups, and their table.
 
-    Effects are those that the pilot happened to have: of a small pilot, anything. Raises FormatError.
+    The draws have the pilot's effects, which may be chance in a small pilot. Raises FormatError.
     """
     model = choose(pilot, "rm")
     parts = split(model.table, model.table.values)
@@ -172,10 +172,10 @@ def power(
     step: float | None = None,
     progress: Callable[[int], object] = lambda done: None,
 ) -> list[Power]:
-    """A row for every effect: the aligned rank transform with repeated-measures F tests on ``runs`` studies.
+    """Return the power of each effect, by the aligned rank transform and repeated-measures F tests on ``runs`` studies.
 
-    ``step``: of the scale, where ties shall be spread (:func:`~glsplat.extras.study.analysis.align.spread_ranks`).
-    ``progress`` is told how many more are done. The same seed gives the same rows.
+    ``step`` of the scale: spread ties (:func:`~glsplat.extras.study.analysis.align.spread_ranks`). ``progress`` gets
+    the number of studies finished since its last call. The same seed gives the same result. Raises FormatError.
     """
     if runs < 1 or not 0 < alpha < 1:
         raise FormatError(f"power needs at least one run and an alpha between 0 and 1, not {runs} and {alpha:g}")
@@ -188,14 +188,14 @@ def power(
         for effect in effects:
             ranks = ranked(table, effect, answers) if step is None else spread_ranks(table, effect, step, answers)
             p = f_tests(table, effect, ranks)[3]
-            found[effect] += int((p < alpha).sum())  # of NaN, where nothing varies, none
+            found[effect] += int((p < alpha).sum())  # NaN (nothing varies) counts as not found
         progress(len(answers))
     intervals = {effect: binomtest(k, runs).proportion_ci(LEVEL, "exact") for effect, k in found.items()}
     return [Power(name_of(table, effect), runs, k, *map(float, intervals[effect])) for effect, k in found.items()]
 
 
 def _steps(shape: Sequence[int]) -> F64:
-    """The product of evenly spaced steps along every axis, scaled so that its largest difference is 1."""
+    """Return the product of evenly spaced steps along every axis, scaled to a largest difference of 1."""
     out = np.ones(1)
     for n in shape:
         out = np.multiply.outer(out, np.linspace(-1, 1, n))
@@ -203,6 +203,6 @@ def _steps(shape: Sequence[int]) -> F64:
 
 
 def _pure(pattern: F64) -> F64:
-    """The part of this effect alone: what means over any of its factors say is gone."""
+    """Return ``pattern`` without lower effects: its means over any of its factors are 0."""
     L = hypothesis(pattern.shape, tuple(range(pattern.ndim)))
     return (L.T @ (L @ pattern.ravel())).reshape(pattern.shape)

@@ -1,4 +1,4 @@
-"""Whether the items of a scale measure one thing: Cronbach's alpha and McDonald's omega.
+"""Reliability of the items of a scale: Cronbach's alpha and McDonald's omega.
 
 >>> reliability(items).alpha
 0.838
@@ -17,12 +17,12 @@ from glsplat.errors import FormatError
 from glsplat.extras.statistics.bootstrap import LEVEL
 
 SMALLEST = 0.005
-"""Share of an item's variance that is its own, at least: the bound of R's factanal, where a fit runs into one."""
+"""Lower bound of an item's unique share of variance, as in R's factanal."""
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Of N complete rows of K items. What cannot be had is None."""
+    """Reliability of ``n`` complete rows of ``items`` items; None where undefined."""
 
     n: int
     items: int
@@ -33,19 +33,19 @@ class Reliability:
     high: float | None
     """95 % interval of alpha."""
     standardised: float | None
-    """Alpha of items brought to one variance: from their mean correlation."""
+    """Alpha of items scaled to equal variance, from their mean correlation."""
     omega: float | None
-    """Omega total of one factor; None for fewer than three items, which one factor does not determine."""
+    """Omega total of one factor; None for fewer than three items, which do not determine a factor."""
     at_bound: bool
-    """The factor explains an item wholly (a Heywood case): omega is not to be trusted."""
+    """Whether the factor explains an item completely (a Heywood case), so that omega is unreliable."""
 
 
 def reliability(items: F64) -> Reliability:
-    """Of answers [N, K], NaN where missing; rows with a gap are left out.
+    """Return the reliability of answers [N, K], NaN where missing; rows with a missing item are left out.
 
     Alpha: Cronbach (1951), its interval Feldt (1965), exact for normal answers. Omega: McDonald (1999), from the
     loadings of one factor fitted by maximum likelihood (Joreskog 1967, as R's factanal), in the items' own units.
-    Reversed items have to be turned before. Raises FormatError for fewer than two items or three complete rows.
+    Turn reversed items back first. Raises FormatError for fewer than two items or three complete rows.
     """
     kept = items[np.isfinite(items).all(axis=1)]
     n, k = kept.shape
@@ -68,7 +68,7 @@ def reliability(items: F64) -> Reliability:
 
 
 def _omega(correlation: F64, deviations: F64) -> tuple[float | None, bool]:
-    """Omega of one factor, and whether an item's own variance ran into its bound."""
+    """Return omega of one factor, and whether an item's unique variance reached its bound."""
 
     def loadings(own: F64) -> tuple[F64, F64]:
         values, vectors = np.linalg.eigh(correlation / np.sqrt(np.outer(own, own)))

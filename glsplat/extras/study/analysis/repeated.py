@@ -1,7 +1,7 @@
 """F tests by repeated-measures analysis of variance: each effect against its own error stratum.
 
-As R's aov with Error(participant / (within factors)) where groups are of one size; type III sums of squares (car's
-Anova on the multivariate model) where they are not. Every participant needs every combination of the within factors.
+Results equal R's aov with Error(participant / (within factors)) for groups of one size, and type III sums of squares
+(car's Anova on the multivariate model) for others. Every participant needs every combination of the within factors.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from .effects import Effect, averages, hypothesis, kron
 from .table import Table
 
 NOTHING = 1e-12
-"""Sums of squares below this share of the whole are rounding, not variation."""
+"""Sums of squares below this share of the total are rounding errors."""
 
 
 @dataclass(frozen=True)
 class FTest:
-    """F and what it stands on. ``f`` is NaN where nothing varies, infinite where the error does not."""
+    """An F test. ``f`` is NaN if nothing varies, infinite if the error is 0."""
 
     effect: Effect
     f: float
@@ -45,7 +45,7 @@ class FTest:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Means [..., P, K] of each participant in each combination of the within factors, and P's groups."""
+    """Means [..., P, K] of each participant in each combination of the within factors, and the groups [P]."""
 
     values: F64
     group: NDArray[np.intp]
@@ -55,17 +55,17 @@ class Split:
 
     @property
     def df(self) -> int:
-        """Degrees of freedom between participants of one group."""
+        """Degrees of freedom between participants within groups."""
         return len(self.group) - len(self.sizes)
 
     def means(self, scores: F64) -> F64:
-        """Over the participants of each group: [..., P, d] to [..., G, d]."""
+        """Return means over the participants of each group: [..., P, d] to [..., G, d]."""
         member = np.eye(len(self.sizes))[self.group]
         return (member / self.sizes).T @ scores
 
 
 def split(table: Table, rows: F64) -> Split:
-    """Rows [..., N] of a table as [..., P, K]; several answers to one combination become their mean."""
+    """Return rows [..., N] of a table as [..., P, K]; several answers to one combination are averaged."""
     shape = tuple(table.shape[i] for i in table.within)
     count = math.prod(shape)
     place = np.ravel_multi_index(tuple(table.codes[:, i] for i in table.within), shape) if shape else 0 * table.cell
@@ -82,10 +82,10 @@ def split(table: Table, rows: F64) -> Split:
 
 
 def f_tests(table: Table, effect: Effect, rows: F64) -> tuple[F64, int, int, F64, F64]:
-    """F, its two degrees of freedom, p and epsilon of one effect on rows [..., N]; arrays are [...].
+    """Return F, its two degrees of freedom, p and epsilon of one effect on rows [..., N]; arrays are [...].
 
     The scores of each participant on orthonormal contrasts of the within part are tested by the between part
-    (Maxwell and Delaney 2004, chapters 12 and 14). Degrees of freedom are at least 1: see ``Split.df``.
+    (Maxwell and Delaney 2004, chapters 12 and 14). The table needs more participants than groups.
     """
     parts = split(table, rows)
     own = _own_contrasts(table, effect)
@@ -110,9 +110,9 @@ def f_tests(table: Table, effect: Effect, rows: F64) -> tuple[F64, int, int, F64
 
 
 def contrast_rows(table: Table, effect: Effect, rows: F64, weights: F64) -> tuple[F64, F64, F64]:
-    """Estimate, standard error and degrees of freedom of contrasts [C, cells of the effect] of marginal means.
+    """Return estimates, standard errors and degrees of freedom [C] of contrasts [C, cells] of marginal means.
 
-    A contrast has a part between participants and a part within; each has its stratum's error, and the degrees of
+    A contrast has a part between and a part within participants, each with its stratum's error; the degrees of
     freedom of their sum are Satterthwaite's (1946).
     """
     parts = split(table, rows)
@@ -148,7 +148,7 @@ def contrast_rows(table: Table, effect: Effect, rows: F64, weights: F64) -> tupl
 
 
 def _own_contrasts(table: Table, effect: Effect) -> F64:
-    """Orthonormal contrasts [d, K] of the within factors in the effect, means over the others."""
+    """Return orthonormal contrasts [d, K] of the effect's within factors, constant over the others."""
     shapes = [(i in effect, table.shape[i]) for i in table.within]
     rows = [helmert(n) if own else np.full((1, n), 1 / math.sqrt(n)) for own, n in shapes]
     return kron(rows)

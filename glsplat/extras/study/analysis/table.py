@@ -1,4 +1,4 @@
-"""A tidy table: one row a participant and condition, a column a factor, one response; what is within, what is missing.
+"""A tidy table: a row for each participant and condition, a column for each factor, and one response.
 
 >>> table = read_table("scores.csv", ["type", "method"])
 >>> [factor.name for factor in table.factors if factor.within]
@@ -25,7 +25,7 @@ from glsplat.io.files import open_regular
 
 Ints = NDArray[np.intp]
 
-MOST_CELLS = 256  # of a design: beyond it no study of people has data
+MOST_CELLS = 256  # conditions of a design
 _NOTHING = {"", "na", "nan", "n/a", "null", "none"}  # how programs write a missing answer
 
 
@@ -40,7 +40,7 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """One response of a study, rows of N answers.
+    """N answers to one response of a study.
 
     ``participant`` [N] and ``codes`` [N, F] index ``names`` and each factor's levels; ``values`` [N] are finite.
     """
@@ -52,31 +52,31 @@ class Table:
     codes: Ints
     values: F64
     unanswered: int = 0
-    """Rows that were left out because their value was missing."""
+    """Number of rows left out because their value was missing."""
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """How many levels each factor has."""
+        """Number of levels of each factor."""
         return tuple(len(factor.levels) for factor in self.factors)
 
     @cached_property
     def cell(self) -> Ints:
-        """Each row's cell of the whole design, [N], in the order of ``shape``."""
+        """Each row's cell of the whole design, [N]; the last factor varies fastest."""
         return np.asarray(np.ravel_multi_index(tuple(self.codes.T), self.shape))
 
     @cached_property
     def within(self) -> tuple[int, ...]:
-        """Places of the factors that vary within participants."""
+        """Indices of the factors that vary within participants."""
         return tuple(i for i, factor in enumerate(self.factors) if factor.within)
 
     @cached_property
     def between(self) -> tuple[int, ...]:
-        """Places of the factors that do not."""
+        """Indices of the factors that vary only between participants."""
         return tuple(i for i, factor in enumerate(self.factors) if not factor.within)
 
     @cached_property
     def answers(self) -> Ints:
-        """How many answers each participant gave to each combination of the within factors, [P, K]."""
+        """Number of each participant's answers to each combination of the within factors, [P, K]."""
         shape = [self.shape[i] for i in self.within]
         place = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.within), shape) if shape else 0 * self.cell
         counts = np.zeros((len(self.names), math.prod(shape)), np.intp)
@@ -100,12 +100,12 @@ class Table:
 
     @property
     def balanced(self) -> bool:
-        """Everybody answered every combination equally often, and the groups are of one size."""
+        """Whether all participants answered all combinations equally often, and groups are of one size."""
         sizes = np.bincount(self.group)
         return bool((self.answers == self.answers[0, 0]).all() and (sizes == sizes[0]).all())
 
     def of(self, names: Sequence[str]) -> Table:
-        """The same with these participants alone. Raises FormatError where a level is lost with the others."""
+        """Return the table of these participants alone. Raises FormatError if a combination loses all its answers."""
         kept = np.isin(np.array(self.names)[self.participant], names)
         rows = [
             (self.names[p], [f.levels[c] for f, c in zip(self.factors, codes, strict=True)], value)
@@ -123,11 +123,11 @@ def read_table(
     response: str = "value",
     measure: str | None = None,
 ) -> Table:
-    """One response of a CSV file (UTF-8, a header, a point in numbers).
+    """Return one response of a CSV file (UTF-8, a header, decimal points).
 
-    ``factors`` names columns, with levels in the order that they shall have (else sorted). With ``measure`` the rows
-    are those that have it in the column "measure". An empty value, NA or a row that is not there is a missing answer.
-    Raises FormatError for what cannot be analysed, naming line and column.
+    ``factors`` names columns, with their levels in order (else sorted). ``measure`` selects the rows with this value in
+    the column "measure". An empty value, NA or an absent row is a missing answer. Raises FormatError naming line and
+    column.
     """
     wanted = [participant, *factors, response, *(["measure"] if measure is not None else [])]
     if measure is None:
@@ -162,10 +162,10 @@ def read_table(
 def make_table(
     response: str, factors: Mapping[str, Sequence[str]], rows: Sequence[tuple[str, Sequence[str], float]]
 ) -> Table:
-    """A table from rows of participant, levels in the order of ``factors``, and value.
+    """Return a table from rows of participant, levels in the order of ``factors``, and value.
 
-    Empty levels of a factor: those that occur, sorted, numbers by their value. Raises FormatError where a factor has
-    fewer than two levels, a combination has no answer at all, or there are fewer than two participants.
+    A factor without levels gets those that occur, sorted, numbers by value. Raises FormatError if a factor has fewer
+    than two levels, a combination has no answer, or there are fewer than two participants.
     """
     if not factors:
         raise FormatError("expected at least one factor, got none")
@@ -202,9 +202,9 @@ def make_table(
 
 
 def read_rows(path: str | Path, wanted: Sequence[str] = ()) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield line number and texts by column of a CSV file's rows, blanks around texts taken off.
+    """Yield line number and stripped texts by column for each row of a CSV file.
 
-    Raises FormatError, also where a column of ``wanted`` is missing.
+    Raises FormatError, also if a column of ``wanted`` is missing.
     """
     with open_regular(path) as (file, _):
         reader = csv.reader(io.TextIOWrapper(file, encoding="utf-8-sig", newline=""), strict=True)
@@ -231,7 +231,7 @@ def read_rows(path: str | Path, wanted: Sequence[str] = ()) -> Iterator[tuple[in
 
 
 def number_of(path: str | Path, line: int, column: str, text: str) -> float | None:
-    """The number that a cell holds; None for an empty one or NA. Raises FormatError naming line and column."""
+    """Return the number in a cell; None for an empty one or NA. Raises FormatError naming line and column."""
     if text.lower() in _NOTHING:
         return None
     try:
@@ -244,6 +244,6 @@ def number_of(path: str | Path, line: int, column: str, text: str) -> float | No
 
 
 def _natural(text: str) -> tuple[tuple[int, float, str], ...]:
-    """Sorts P2 before P10 and 0.5 before 10."""
+    """Return a key that sorts P2 before P10 and 0.5 before 10."""
     parts = re.split(r"(\d+(?:\.\d+)?)", text)
     return tuple((1, float(part), "") if i % 2 else (0, 0.0, part) for i, part in enumerate(parts))

@@ -1,4 +1,4 @@
-"""State of a running session as JSON for the pages, without anything that a participant should not know."""
+"""State of a running session as JSON for the pages; the participant's has no names of conditions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from glsplat.extras.study.serving.live import Live
 
 
 def for_participant(live: Live) -> dict[str, Any]:
-    """Return the current step and what to show and ask."""
+    """Return the current step with its text or questions."""
     session = live.session
     step, state, left = session.step, session.state, session.left(live.t)
     shown: dict[str, Any] = {

@@ -16,10 +16,10 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.networks.head_parts import HeadPart, available, head_parts
-from glsplat.extras.authoring.networks.network import Crop
 from glsplat.extras.authoring.networks.onnx import Graph
 from glsplat.extras.authoring.networks.people import find_person
 from glsplat.extras.authoring.networks.torch_file import read_tensors
+from glsplat.extras.authoring.segment.mask import with_head
 from tests.extras.authoring.captures import needs_networks
 
 TENSORS = {"conv.weight": np.arange(24, dtype="<f4").reshape(2, 3, 2, 2), "bn.batches": np.array([7], "<i8")}
@@ -130,11 +130,23 @@ def test_hair_and_hats_are_seen(shared_data: Path, name: str, hat: bool) -> None
     face = person.face.points[:, :2]
     middle = (face.min(axis=0) + face.max(axis=0)) / 2
     high = float(np.ptp(face[:, 1]))
-    parts = head_parts(picture, Crop(*middle, 2.6 * high))
-    assert parts.shape == picture.shape[:2]
+    parts = head_parts(picture, person.face)
+    assert parts is not None and parts.shape == picture.shape[:2]
     x, y = middle.astype(int)
     assert parts[y : y + int(high / 10), x].min() > HeadPart.BACKGROUND  # the nose
-    crown = parts[int(y - 0.85 * high), x]
-    assert crown == (HeadPart.HAT if hat else HeadPart.HAIR)
     assert (parts == HeadPart.HAIR).sum() > 0.1 * high**2 and ((parts == HeadPart.HAT).sum() > 0.1 * high**2) == hat
+    top = HeadPart.HAT if hat else HeadPart.HAIR
+    assert parts[int(y - 1.3 * high) : int(y - 0.5 * high), x].max() == top
     assert (parts[int(y + 0.6 * high) :, x] == HeadPart.CLOTH).any()
+
+
+def test_a_mask_is_extended_by_what_the_head_wears() -> None:
+    mask, parts = np.zeros((40, 40), bool), np.zeros((40, 40), np.uint8)
+    mask[10:, 10:30] = True
+    parts[5:12, 10:20], parts[5:12, 20:30] = HeadPart.HAIR, HeadPart.HAT
+    parts[:, 35:] = HeadPart.HAIR  # of somebody behind
+    parts[20:30, :10] = HeadPart.CLOTH
+    expected = mask.copy()
+    expected[5:10, 10:30] = True
+    np.testing.assert_array_equal(with_head(mask, parts), expected)
+    np.testing.assert_array_equal(with_head(mask, None), mask)

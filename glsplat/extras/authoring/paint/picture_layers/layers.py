@@ -176,7 +176,7 @@ class PictureLayers:
 
     @locked_cached_property
     def background(self) -> tuple[float, NDArray[np.float32]]:
-        """The scale of a smaller picture, and the background's linear colours in it, continued into the person."""
+        """Return a smaller picture's scale, and its linear background, continued into the person."""
         scale = min(1.0, _LABEL_HEIGHT_PX / self.height)
         size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
         mask = cv2.dilate(cv2.resize(self.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), disc(RIM_PX))
@@ -186,7 +186,7 @@ class PictureLayers:
 
     @locked_cached_property
     def outline_distances(self) -> tuple[float, list[NDArray[np.float32]]]:
-        """The same scale, and each layer's distances from its outline, over the person's height."""
+        """Return the same scale, and each layer's distances from its outline, over the person's height."""
         scale = min(1.0, _LABEL_HEIGHT_PX / self.height)
         size = tuple(max(1, int(side * scale)) for side in self.mask.shape[::-1])
         label = np.where(self.mask, 0 if self.segment is None else self.label, -1).astype(np.int16)
