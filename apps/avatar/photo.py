@@ -14,6 +14,7 @@ from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.compute.threads import run_in_background, share_heap
+from glsplat.extras.authoring.networks import head_parts
 from glsplat.extras.authoring.reconstruct.photos import (
     MeshReconstruction,
     Reconstruction,
@@ -133,6 +134,8 @@ def _one(args: argparse.Namespace) -> int:
         if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
         shots = _shots(args, show)
+        if args.using == "builtin" and not head_parts.available():
+            print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
         done: Reconstruction | MeshReconstruction | None = None
         try:
             if not args.anyway:

@@ -19,6 +19,8 @@ from .network import Crop
 from .onnx import Graph
 from .torch_file import read_tensors
 
+MISSING = "hair is found by its colours; 'glsplat models get hair' downloads a network that finds it better"
+
 _INPUT_PX = 512  # side of the network's input
 _MEAN, _DEVIATION = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])  # of the training pictures
 _NORM_EPSILON = 1e-5
