@@ -17,14 +17,16 @@ from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.networks.eye import EyeLook
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
-from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
+from glsplat.extras.authoring.paint.inpaint.cloth import TRUNK, Cloth, cloth_of
 from glsplat.extras.authoring.paint.inpaint.hands import Hands, hands_of
 from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
+from glsplat.extras.authoring.paint.inpaint.tailoring import Tailoring, tailoring_of
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.shoes import ShoePainter, shoe_painter
+from glsplat.extras.authoring.paint.skin_tone import likeness
 from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.meshes import RiggedMesh
@@ -38,10 +40,11 @@ COLOUR_DIGITS = 6
 # faces and chins have no counterpart at the back
 _UNMATCHED = ("neck", *HEAD)
 _GUESSED_DETAIL_FACTOR = 0.6  # guessed detail gets fewer splats than visible detail
-_CONTRASTS = 0.25, 0.5  # of sRGB, between a guess and the front: too little to show through, surely visible
+_CONTRASTS = 0.05, 0.2  # of sRGB, between a guess and the front: too little to show through, surely visible
 _BLOCK_POINTS = 1 << 15  # painted together by one core
 _MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
-_UNSEEN_CLOTH_DECAY = 3e-4  # pull of unseen cloth towards the colour of its row
+_UNSEEN_CLOTH_DECAY = 1e-4  # pull of unseen cloth towards the colour of its row
+_FLANK_SHADING = 0.5  # of a colour's brightness: light and shade of the visible cloth go on round the flank
 _MIRROR_FADE = 0.35, 0.6  # of a trunk's half width: signs are in its middle, so nothing is mirrored there
 _SHADE_RATIO_RANGE = 0.3, 1.4  # of an unseen point's light over that of its source
 
@@ -71,6 +74,7 @@ class Painter:
     sleeves: SurfacePoints | None  # [V] point of the trunk whose cloth an arm's vertex takes; None for plain cloth
     mirror_weights: F64  # [V] weight of the body's other half for vertices seen in no picture
     hands: Hands
+    tailoring: Tailoring
     shoes: ShoePainter | None  # of vertices after the body's
 
     def paint(self, points: SurfacePoints) -> Paint:
@@ -113,6 +117,8 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
+        if not self.tailoring.trousers and self.cloth.skin is not None:  # the sheet of a skirt shows no leg
+            foreign = np.maximum(foreign, self.tailoring.covers(points) * likeness(first.linear / shade[:, None], self.cloth.skin[None] ** 2))
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
@@ -130,9 +136,12 @@ class Painter:
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
+        covered = np.where(self.cloth.region(points) == TRUNK, covered * points.at(self.head.hair[:, None])[:, 0], covered)
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
         plain = np.maximum(points.at(self.plain) + material.known[:, None] * material.colour, 0)
+        sewn, seams = self.tailoring.at(points)
+        plain *= sewn[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * matched.linear
         # the other half of the body may show what this one hides
@@ -154,7 +163,8 @@ class Painter:
             )
         guess = self.hands.over(points, guess)
         contrast = ramp(np.abs(to_srgb(guess) - to_srgb(matched.linear)).max(axis=1), *_CONTRASTS)
-        return guess, np.maximum(matched.detail * trust, other.detail * mirror_share), contrast
+        guessed = np.maximum(matched.detail * trust, other.detail * mirror_share)
+        return guess, np.maximum(guessed, seams * (1 - trust)), contrast
 
     def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
         """Return [K, 3] linear colours for ``some`` points of sleeves, taken from the trunk's cloth."""
@@ -192,7 +202,8 @@ def painter_of(
     shoes = None if shod is None else shoe_painter(body, front, light, shod)
     weights = _mirror_weights(body, front)
     hands = hands_of(body, front, light, hand_texture)
-    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, shoes)
+    tailoring = tailoring_of(front.mesh, cloth, len(front.mesh.faces) == len(body.faces))
+    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, tailoring, shoes)
 
 
 def _mirror_weights(body: Body, shot: FittedPicture) -> F64:
@@ -226,7 +237,7 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, clo
         # one room for all pictures: normals are turned into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
-        trust = trust * material.likeness(plain, patterned=False)  # a print does not flow into the cloth beside it
+        trust = trust * material.likeness(plain, patterned=False, shading=_FLANK_SHADING)  # a print does not flow on
         known += trust
         target += trust[:, None] * plain
     mirrored = mirror_vertices()

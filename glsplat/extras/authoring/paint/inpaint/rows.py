@@ -29,6 +29,8 @@ _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
 _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
+_LIGHT, _MIXED_LIGHT = 0.25, 0.6  # of brightness that light explains: in a row of one tone, and of several
+_SEVERAL_TONES = 0.11  # tolerance of such a row, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +49,10 @@ class Rows:
     def places(self) -> F64:
         """[R] metres along the axis."""
         return np.asarray(self.first + ROW_M * np.arange(len(self.colour)))
+
+    def index(self, along: F64) -> NDArray[np.intp]:
+        """Return [M] the rows at places ``along`` [M] the axis, metres."""
+        return np.round((along - self.first) / ROW_M).astype(np.intp).clip(0, len(self.colour) - 1)
 
 
 def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> Rows | None:
@@ -123,10 +129,13 @@ def in_one_tone(parts: Sequence[Rows]) -> list[Rows]:
         return []
     place = np.concatenate([rows.places for rows in parts])
     colour = np.concatenate([rows.colour for rows in parts])
+    several = np.concatenate([rows.tolerance for rows in parts]) > _SEVERAL_TONES
     toned = []
     for rows in parts:
         near = np.abs(rows.places[:, None] - place) <= _TONE_M
-        alike = near & np.stack([unlike(colour, own[None]) < _TONE_DISTANCE for own in rows.colour])
+        light = np.where(several & (rows.tolerance > _SEVERAL_TONES)[:, None], _MIXED_LIGHT, _LIGHT)
+        pairs = zip(rows.colour, light, strict=True)
+        alike = near & np.stack([unlike(colour, own[None], shading) < _TONE_DISTANCE for own, shading in pairs])
         mean = alike @ colour / alike.sum(axis=1, keepdims=True)
         outer = np.where(rows.outer == rows.colour, mean, rows.outer)
         tolerance = rows.tolerance + lengths(mean - rows.colour)
