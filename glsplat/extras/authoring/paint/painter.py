@@ -44,7 +44,8 @@ _CONTRASTS = 0.05, 0.2  # of sRGB, between a guess and the front: too little to 
 _BLOCK_POINTS = 1 << 15  # painted together by one core
 _MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
 _UNSEEN_CLOTH_DECAY = 1e-4  # pull of unseen cloth towards the colour of its row
-_FLANK_SHADING = 0.5  # of a colour's brightness: light and shade of the visible cloth go on round the flank
+_LIGHT_RANGE = 0.6, 1.6  # of guessed cloth, over its colour
+_FLANK_SHADING = 0.4  # of a colour's brightness: light and shade of the visible cloth go on round the flank
 _MIRROR_FADE = 0.35, 0.6  # of a trunk's half width: signs are in its middle, so nothing is mirrored there
 _SHADE_RATIO_RANGE = 0.3, 1.4  # of an unseen point's light over that of its source
 
@@ -117,8 +118,9 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
-        if not self.tailoring.trousers and self.cloth.skin is not None:  # the sheet of a skirt shows no leg
-            foreign = np.maximum(foreign, self.tailoring.covers(points) * likeness(first.linear / shade[:, None], self.cloth.skin[None] ** 2))
+        if self.cloth.skin is not None:
+            bare = likeness(first.linear / shade[:, None], self.cloth.skin[None] ** 2)
+            foreign = np.maximum(foreign, self.tailoring.sheet(points) * bare)
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
@@ -136,10 +138,17 @@ class Painter:
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
-        covered = np.where(self.cloth.region(points) == TRUNK, covered * points.at(self.head.hair[:, None])[:, 0], covered)
+        covered = np.where(
+            self.cloth.region(points) == TRUNK, covered * points.at(self.head.hair[:, None])[:, 0], covered
+        )
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
-        plain = np.maximum(points.at(self.plain) + material.known[:, None] * material.colour, 0)
+        plain = points.at(self.plain) + material.known[:, None] * material.colour
+        plain = np.where(
+            material.known[:, None] > 0,
+            plain.clip(*(factor * material.colour for factor in _LIGHT_RANGE)),
+            np.maximum(plain, 0),
+        )
         sewn, seams = self.tailoring.at(points)
         plain *= sewn[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]

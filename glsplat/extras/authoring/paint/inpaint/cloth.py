@@ -33,6 +33,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     without_mixed_rows,
 )
 from glsplat.extras.authoring.paint.ramps import ramp
+from glsplat.extras.authoring.paint.skin_tone import lab
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -64,6 +65,7 @@ _MIRRORED_WEIGHT = 0.2  # of a sample from the other half of the body, but for l
 _SIDES, _UNSURE_WEIGHT = (0.3, 0.95), 0.25  # of a trunk's half width, where front and back are alike; weight elsewhere
 _FLANK = 0.75  # of a trunk's half width: lettering ends there, belts and bare bellies go on
 _SKIN_DISTANCE = 0.2  # from the face's colour: nearer colours are bare skin
+_MIN_SKIN_CHROMA = 4.5  # CIELAB
 _FACE_QUANTILES = 0.5, 0.9  # of a face's brightness
 _MIN_STRAP_FRACTION = 0.1  # of a row on the shoulders that is cloth
 _MIN_BARE_FRACTION = 0.15  # of a row on the shoulders that is skin beside a strap
@@ -187,6 +189,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
     visibility = visibility * np.where(deep, 1.0, _UNSURE_WEIGHT)
     face = (face_vertices(body)[part.corners]).all(axis=1) & (sample.visibility[some] > _MIN_FACE_VISIBILITY)
     skin = _face_colour(look[face]) if face.sum() > 2 * MIN_ROW_WEIGHT else None
+    if skin is not None and np.hypot(*lab(skin[None] ** 2)[0, 1:]) < _MIN_SKIN_CHROMA:
+        skin = None  # a grey picture: cloth may have any skin's colour
     shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
     armpit = float(shoulder.mean()) - _ARMPIT_BELOW_SHOULDER_M
 

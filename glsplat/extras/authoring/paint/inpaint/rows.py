@@ -29,8 +29,8 @@ _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
 _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
-_LIGHT, _MIXED_LIGHT = 0.25, 0.6  # of brightness that light explains: in a row of one tone, and of several
-_SEVERAL_TONES = 0.11  # tolerance of such a row, at least
+_LIGHT, _MIXED_LIGHT = 0.25, 0.8  # of brightness that light explains: in a row of one tone, and of several
+_SEVERAL_TONES = 0.1  # tolerance of such a row, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
