@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import hand_weights, trunk_half_width, trunk_vertices
+from glsplat.extras.authoring.body.segments import hand_weights, trunk_vertices
 from glsplat.extras.authoring.dress.coat import MIN_COVERED_FRACTION, coat_hem, hem_row, leg_gaps
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
@@ -35,7 +35,6 @@ _MIN_GOWN_FRACTION = 0.25  # length of the covered gap of a gown to the floor
 
 _ROW_M = 0.03
 _BLEND_M = 0.10  # above the hips, where the trunk becomes a sheet
-_ARMPIT_M = 0.12  # below the shoulder joints
 _STRAIGHT_M = 0.08  # above a hem: the fitted surface narrows there towards the legs, cloth does not
 _BARE_M = 0.10  # below a hem: the fitted surface is still as wide as the cloth above
 _FRONT_QUANTILE = 0.02  # of the legs' depths in the picture
@@ -57,8 +56,6 @@ def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8
         hem += float(down * (1 - np.quantile(where[legs, 2], _FRONT_QUANTILE) / away))
     else:
         hem = coat_hem(body, fit, dressed, rgb, views[0])
-        if hem is not None:
-            dressed = _straight(body, dressed, views)
     if hem is None:
         return dressed
     bare = body.shaped(fit.betas)[0] - (fit.joints[0] - dressed.mesh.skeleton.joints[0])
@@ -100,20 +97,6 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
     legs = _leg(body, "left") | _leg(body, "right")
     near = legs & (np.abs(fit.views[0].pixels[:, 1] - rows[last]) < 0.01 * view.figure)
     return float(np.median(mesh.vertices[near, 1])) if near.any() else None
-
-
-def _straight(body: Body, dressed: Dressed, views: Sequence[View]) -> Dressed:
-    """Return the dressed body with a trunk that is straight between chest and hips: a coat has no waist."""
-    mesh, trunk = dressed.mesh, trunk_vertices(body) & body.skin
-    rest, joints = mesh.vertices.copy(), mesh.skeleton.joints
-    low, high = (joints[JOINT_NAMES.index(f"left_{name}"), 1] for name in ("hip", "shoulder"))
-    high -= _ARMPIT_M
-    mine = np.flatnonzero(trunk & (rest[:, 1] > low) & (rest[:, 1] < high))
-    half, y = trunk_half_width(rest, trunk), rest[mine, 1]
-    ends = [float(half[mine[np.abs(y - end) < _ROW_M]].max(initial=0)) for end in (low, high)]
-    rest[mine, 0] *= np.maximum(np.interp(y, (low, high), ends) / half[mine], 1)
-    mesh, moved = replace(mesh, vertices=rest), (rest != mesh.vertices).any(axis=1)
-    return Dressed(mesh, tuple(_moved(mesh, view, old, moved) for view, old in zip(views, dressed.views, strict=True)))
 
 
 def with_skirt(body: Body, bare: F64, dressed: Dressed, views: Sequence[View], hem: float) -> Dressed:

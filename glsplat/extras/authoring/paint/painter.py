@@ -40,7 +40,6 @@ COLOUR_DIGITS = 6
 # faces and chins have no counterpart at the back
 _UNMATCHED = ("neck", *HEAD)
 _GUESSED_DETAIL_FACTOR = 0.6  # guessed detail gets fewer splats than visible detail
-_CONTRASTS = 0.05, 0.2  # of sRGB, between a guess and the front: too little to show through, surely visible
 _BLOCK_POINTS = 1 << 15  # painted together by one core
 _MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
 _UNSEEN_CLOTH_DECAY = 1e-4  # pull of unseen cloth towards the colour of its row
@@ -57,7 +56,6 @@ class Paint:
     rgb: F64  # [M, 3] sRGB in [0, 1]
     visibility: F64  # [M] from 0, guessed, to 1, visible
     detail: F64  # [M] from 0, plain, to 1, full of detail
-    contrast: F64  # [M] of guessed colours to the front at the same place, from 0, alike, to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,28 +83,25 @@ class Painter:
         parts = map_threads(self._paint_block, blocks)
         return Paint(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def _paint_block(self, points: SurfacePoints) -> tuple[F64, F64, F64, F64]:
+    def _paint_block(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
         """Return the fields of ``Paint`` for one block of points."""
         worn = points.corners[:, 0] >= len(self.body.vertices)
         if self.shoes is not None and worn.any():
             own = self._paint_block(points.take(~worn))
             shoes = self.shoes.paint(points.take(worn))
             order = np.argsort(np.concatenate([np.flatnonzero(~worn), np.flatnonzero(worn)]))
-            rgb, visibility, detail = (np.concatenate(both)[order] for both in zip(own[:3], shoes, strict=True))
-            return rgb, visibility, detail, np.append(own[3], np.zeros(len(shoes[0])))[order]
+            rgb, visibility, detail = (np.concatenate(both)[order] for both in zip(own, shoes, strict=True))
+            return rgb, visibility, detail
         samples, material, shade = self._sample_pictures(points)
         visibility, colour = _mix_views(samples)
         detail = np.max([sample.detail * sample.visibility for sample in samples], axis=0)
         unsure = np.flatnonzero(visibility < 1)
         part = points.take(unsure)
-        guess, guessed_detail, unlike = self._guess(part, material.at(unsure), shade[unsure])
+        guess, guessed_detail = self._guess(part, material.at(unsure), shade[unsure])
         detail[unsure] = np.maximum(detail[unsure], _GUESSED_DETAIL_FACTOR * guessed_detail * (1 - visibility[unsure]))
-        contrast = np.zeros(len(visibility))
-        contrast[unsure] = unlike * (1 - visibility[unsure])
         colour[unsure] = guess + visibility[unsure, None] * (colour[unsure] - guess)
         rgb = self.inside.over(to_srgb(colour), points)
-        detail, contrast = (np.round(each, COLOUR_DIGITS) for each in (detail, contrast))
-        return np.round(rgb, COLOUR_DIGITS), visibility, detail, contrast
+        return np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail, COLOUR_DIGITS)
 
     def colours(self, points: SurfacePoints) -> F64:
         """Return ``paint(points).rgb``, computed on one core."""
@@ -118,14 +113,15 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
-        if self.cloth.skin is not None:
+        if self.cloth.skin is not None and not self.tailoring.trousers:  # the sheet of a skirt shows no leg
+            worn, where, _ = self.tailoring.worn(points)
             bare = likeness(first.linear / shade[:, None], self.cloth.skin[None] ** 2)
-            foreign = np.maximum(foreign, self.tailoring.sheet(points) * bare)
+            foreign = np.maximum(foreign, worn * bare * (where[:, 1] < self.tailoring.waist))
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
-    def _guess(self, points: SurfacePoints, material: Material, shade: F64) -> tuple[F64, F64, F64]:
-        """Return [M, 3] linear colours where no picture looks, [M] their detail, and [M] contrast to the front."""
+    def _guess(self, points: SurfacePoints, material: Material, shade: F64) -> tuple[F64, F64]:
+        """Return [M, 3] linear colours where no picture looks, and [M] their detail."""
         body, front = self.body, self.shots[0]
         # the front at the same place where it shows the same cloth, but for the head
         matched = self.matches.colours(front, points)
@@ -138,17 +134,13 @@ class Painter:
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
-        covered = np.where(
-            self.cloth.region(points) == TRUNK, covered * points.at(self.head.hair[:, None])[:, 0], covered
-        )
+        collar = (self.cloth.region(points) == TRUNK) & vertices_of(body, "neck")[points.corners[:, 0]]
+        covered = covered * ~collar
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
         plain = points.at(self.plain) + material.known[:, None] * material.colour
-        plain = np.where(
-            material.known[:, None] > 0,
-            plain.clip(*(factor * material.colour for factor in _LIGHT_RANGE)),
-            np.maximum(plain, 0),
-        )
+        low, high = ((factor * material.known)[:, None] * material.colour for factor in _LIGHT_RANGE)
+        plain = plain.clip(low, np.where(material.known[:, None] > 0, high, np.inf))
         sewn, seams = self.tailoring.at(points)
         plain *= sewn[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
@@ -171,9 +163,8 @@ class Painter:
                 self._sleeve_colours(points, some, shade) - guess[some]
             )
         guess = self.hands.over(points, guess)
-        contrast = ramp(np.abs(to_srgb(guess) - to_srgb(matched.linear)).max(axis=1), *_CONTRASTS)
         guessed = np.maximum(matched.detail * trust, other.detail * mirror_share)
-        return guess, np.maximum(guessed, seams * (1 - trust)), contrast
+        return guess, np.maximum(guessed, seams * (1 - trust))
 
     def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
         """Return [K, 3] linear colours for ``some`` points of sleeves, taken from the trunk's cloth."""

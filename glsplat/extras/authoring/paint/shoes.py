@@ -180,10 +180,7 @@ def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh)
 
 
 def _gaps_below(shot: FittedPicture, pixels: F64, rest: F64, first: int) -> F64:
-    """Return [V] rows by which the mask reaches below each foot's shoe, 0 at its top; shoes begin at vertex ``first``.
-
-    A fit stands on its toes no better than on high heels.
-    """
+    """Return [V] rows by which the mask reaches below each shoe, 0 at its top; their vertices begin at ``first``."""
     lower, height = np.zeros(len(rest)), shot.picture_layers.height
     for sign in (1.0, -1.0):
         mine = first + np.flatnonzero(sign * rest[first:, 0] > 0)

@@ -25,19 +25,15 @@ F64 = NDArray[np.float64]
 _FOLDS = (
     ("shoulder", (-0.02, -0.10), (-0.13, -0.22), 0.024, 0.25),
     ("shoulder", (-0.01, -0.15), (-0.14, -0.31), 0.029, 0.21),
-    ("shoulder", (-0.05, -0.01), (-0.09, -0.17), 0.051, 0.11),
     ("hip", (0.06, 0.21), (-0.06, 0.17), 0.024, 0.21),
     ("hip", (0.08, 0.15), (-0.04, 0.13), 0.027, 0.18),
     ("hip", (0.07, -0.03), (-0.06, -0.09), 0.027, 0.23),
-    ("hip", (0.06, -0.08), (-0.05, -0.13), 0.024, 0.16),
     ("knee", (0.05, 0.05), (-0.05, 0.02), 0.020, 0.23),
     ("knee", (0.05, 0.00), (-0.04, -0.02), 0.020, 0.28),
-    ("knee", (0.04, -0.06), (-0.05, -0.04), 0.020, 0.21),
     ("ankle", (0.05, 0.16), (-0.05, 0.13), 0.020, 0.18),
     ("ankle", (0.05, 0.07), (-0.05, 0.10), 0.020, 0.23),
     ("elbow", (-0.05, 0.05), (-0.02, -0.05), 0.020, 0.21),
     ("elbow", (0.01, 0.05), (0.01, -0.05), 0.020, 0.25),
-    ("elbow", (0.07, 0.05), (0.05, -0.05), 0.020, 0.21),
 )
 _UNEVEN_M, _UNEVEN_DEPTH = 0.012, (0.6, 1.2)  # differences between left and right folds
 # standard deviations in metres and depths of lines: a seam, and the edge and the stitches of a hem
@@ -67,19 +63,13 @@ class Tailoring:
         share, lines = np.zeros((2, len(where)))
         for number, hems in self.hems.items():
             rows, mine = self.cloth.rows[number], np.flatnonzero(region == number)
-            if rows is None:
-                continue
+            assert rows is not None
             along = np.abs(where[mine, 0]) if rows.axis == 0 else where[mine, 1]
             bare = 0 if self.cloth.skin is None else likeness(rows.colour**2, self.cloth.skin[None] ** 2)
             share[mine] = (np.ones(len(rows.colour)) - bare)[rows.index(along)]
             away = np.abs(along[:, None] - hems)
             lines[mine] = (_line(away, *_EDGE) + _line(away - _STITCHES_M, *_STITCHES)).sum(axis=1)
         return share, where, lines
-
-    def sheet(self, points: SurfacePoints) -> F64:
-        """Return [M] from 0 to 1: how surely the points are on a skirt, which shows no leg."""
-        share, where, _ = self.worn(points)
-        return share * (where[:, 1] < self.waist) * (not self.trousers)
 
     def at(self, points: SurfacePoints) -> tuple[F64, F64]:
         """Return [M] the factors of the points' brightness, and [M] their detail, from 0, plain, to 1."""
