@@ -75,6 +75,7 @@ class Painter:
     hands: Hands
     tailoring: Tailoring
     shoes: ShoePainter | None  # of vertices after the body's
+    bald: bool  # hair on the neck is not painted
 
     def paint(self, points: SurfacePoints) -> Paint:
         """Return the colours of the points; only points not seen squarely are guessed."""
@@ -134,8 +135,9 @@ class Painter:
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
-        collar = (self.cloth.region(points) == TRUNK) & vertices_of(body, "neck")[points.corners[:, 0]]
-        covered = covered * ~collar
+        if self.bald:
+            collar = (self.cloth.region(points) == TRUNK) & vertices_of(body, "neck")[points.corners[:, 0]]
+            covered = covered * ~collar
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
         plain = points.at(self.plain) + material.known[:, None] * material.colour
@@ -182,11 +184,12 @@ def painter_of(
     looks: Mapping[str, EyeLook] | None = None,
     shod: RiggedMesh | None = None,
     hand_texture: NDArray[np.uint8] | None = None,
+    bald: bool = False,
 ) -> Painter:
     """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
     Light and cloth are estimated at ``points``, which should lie evenly over its surface. ``shod`` is the body with
-    shoes, if it has any; ``hand_texture`` that of the open body's skin.
+    shoes, if it has any; ``hand_texture`` that of the open body's skin; ``bald`` leaves hair on the neck to a template.
     """
     front = shots[0]
     start_front = run_in_background(lambda: Front(front.mesh))
@@ -203,7 +206,9 @@ def painter_of(
     weights = _mirror_weights(body, front)
     hands = hands_of(body, front, light, hand_texture)
     tailoring = tailoring_of(front.mesh, cloth, len(front.mesh.faces) == len(body.faces))
-    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, tailoring, shoes)
+    return Painter(
+        body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, tailoring, shoes, bald
+    )
 
 
 def _mirror_weights(body: Body, shot: FittedPicture) -> F64:
