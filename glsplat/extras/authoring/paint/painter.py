@@ -17,7 +17,7 @@ from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.networks.eye import EyeLook
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
-from glsplat.extras.authoring.paint.inpaint.cloth import TRUNK, Cloth, cloth_of
+from glsplat.extras.authoring.paint.inpaint.cloth import NECK, TRUNK, Cloth, cloth_of
 from glsplat.extras.authoring.paint.inpaint.hands import Hands, hands_of
 from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
@@ -235,14 +235,18 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, clo
     count = len(body.vertices)
     known, target = np.zeros(count), np.zeros((count, 3))
     first = shots[0]
-    material = cloth.at(SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3)))
+    vertices = SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3))
+    material, shading = (
+        cloth.at(vertices),
+        np.where(cloth.region(vertices) == NECK, 0, _FLANK_SHADING),
+    )  # hair is no shade
     clothed = material.known > 0
     for shot in shots:
         trust = shot.visibility * body.skin
         # one room for all pictures: normals are turned into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
-        trust = trust * material.likeness(plain, patterned=False, shading=_FLANK_SHADING)  # a print does not flow on
+        trust = trust * material.likeness(plain, patterned=False, shading=shading)  # a print does not flow on
         known += trust
         target += trust[:, None] * plain
     mirrored = mirror_vertices()

@@ -21,7 +21,7 @@ PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, ins
 """Fewer samples and rounds than for a textured mesh: faster, and a photograph has less detail."""
 
 _COVERED_DENSITY = 0.5  # of splats under hair, over that of bare surface
-_MAX_SPREAD = 1.3  # of guessed splats: the front's colours show through the gaps between narrower ones
+_MAX_SPREAD = 1.2  # of guessed splats: the front's colours show through the gaps between narrower ones
 _SHOE_DENSITY = 2.0  # of splats on shoes: seams and laces are finer than cloth
 
 

@@ -34,14 +34,14 @@ class Material:
         fields = ("colour", "tolerance", "known", "pattern", "skin")
         return Material(*(getattr(self, field)[some] for field in fields))
 
-    def distance(self, look: F64, shading: float = 0.0) -> F64:
+    def distance(self, look: F64, shading: float | F64 = 0.0) -> F64:
         """Return [M] distances of square roots of unlit linear colours [M, 3] from its colour, in tolerances.
 
         What the fraction ``shading`` of more or less light explains is left out.
         """
         return np.asarray(unlike(look, np.sqrt(self.colour), shading) / self.tolerance)
 
-    def likeness(self, plain: F64, patterned: bool = True, shading: float = 0.0) -> F64:
+    def likeness(self, plain: F64, patterned: bool = True, shading: float | F64 = 0.0) -> F64:
         """Return [M] from 0 to 1: how surely unlit linear colours [M, 3] are this material.
 
         With ``patterned``, colours of its pattern are, too. For ``shading`` see ``distance``.
