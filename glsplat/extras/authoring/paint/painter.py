@@ -56,6 +56,7 @@ class Paint:
     rgb: F64  # [M, 3] sRGB in [0, 1]
     visibility: F64  # [M] from 0, guessed, to 1, visible
     detail: F64  # [M] from 0, plain, to 1, full of detail
+    guessed: F64  # [M] from 0 to 1, of cloth alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +85,16 @@ class Painter:
         parts = map_threads(self._paint_block, blocks)
         return Paint(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def _paint_block(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
+    def _paint_block(self, points: SurfacePoints) -> tuple[F64, F64, F64, F64]:
         """Return the fields of ``Paint`` for one block of points."""
         worn = points.corners[:, 0] >= len(self.body.vertices)
         if self.shoes is not None and worn.any():
             own = self._paint_block(points.take(~worn))
             shoes = self.shoes.paint(points.take(worn))
             order = np.argsort(np.concatenate([np.flatnonzero(~worn), np.flatnonzero(worn)]))
-            rgb, visibility, detail = (np.concatenate(both)[order] for both in zip(own, shoes, strict=True))
-            return rgb, visibility, detail
+            both = zip(own, (*shoes, np.zeros(len(shoes[0]))), strict=True)
+            rgb, visibility, detail, guessed = (np.concatenate(each)[order] for each in both)
+            return rgb, visibility, detail, guessed
         samples, material, shade = self._sample_pictures(points)
         visibility, colour = _mix_views(samples)
         detail = np.max([sample.detail * sample.visibility for sample in samples], axis=0)
@@ -102,7 +104,8 @@ class Painter:
         detail[unsure] = np.maximum(detail[unsure], _GUESSED_DETAIL_FACTOR * guessed_detail * (1 - visibility[unsure]))
         colour[unsure] = guess + visibility[unsure, None] * (colour[unsure] - guess)
         rgb = self.inside.over(to_srgb(colour), points)
-        return np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail, COLOUR_DIGITS)
+        guessed = (1 - visibility) * (material.known > 0)
+        return np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail, COLOUR_DIGITS), guessed
 
     def colours(self, points: SurfacePoints) -> F64:
         """Return ``paint(points).rgb``, computed on one core."""

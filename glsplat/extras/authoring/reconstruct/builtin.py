@@ -90,9 +90,7 @@ class Builtin:
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
-        avatar = scattered.avatar(
-            face().mesh if face else whole, painted.rgb, painted.detail, rng, 1 - painted.visibility
-        )
+        avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng, painted.guessed)
         unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(
