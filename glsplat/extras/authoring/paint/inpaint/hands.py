@@ -22,6 +22,7 @@ F64 = NDArray[np.float64]
 
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40
 _TEXTURE_RANGE = 0.4, 1.8  # of the texture over its median
+_MIN_BRIGHTNESS = 0.75  # of a hand's tone, over the face's
 _HUE_FRACTION, _CONTRAST = 0.2, 1.7  # of the texture's own hue (red palms and knuckles), and exponent
 
 
@@ -59,7 +60,8 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
         forearm = joint_weights(body, side, "elbow") > 0.5
         both = [_tone(shot, light, some) for some in (hand, forearm)]
         seen.append(both[0])
-        covered |= both[0] is not None and both[1] is not None and _same_cloth(both[0], both[1])
+        if both[0] is not None and both[1] is not None:
+            covered |= float(np.linalg.norm(np.sqrt(both[0]) - np.sqrt(both[1]))) < SAME_COLOUR_DISTANCE
     tone = _skin_tone(face, [one for one in seen if one is not None], covered)
     if tone is None:
         return Hands(share, colour)
@@ -76,12 +78,8 @@ def _tone(shot: FittedPicture, light: Lamp, some: NDArray[np.bool_]) -> F64 | No
     return np.asarray(np.median(unlit(shot, light, seen), axis=0)) if seen.sum() > _MIN_VERTICES else None
 
 
-def _same_cloth(first: F64, second: F64) -> bool:
-    return bool(np.linalg.norm(np.sqrt(first) - np.sqrt(second)) < SAME_COLOUR_DISTANCE)
-
-
 def _skin_tone(face: F64 | None, hands: list[F64], covered: bool) -> F64 | None:
-    """Return [3] the tone of both hands: the face's, or their own if a mask or shade darkens the face.
+    """Return [3] the tone of both hands: their own, or the face's if shade darkens them.
 
     Hands of another hue than the face have it, below gloves or a painted face, if both agree and neither is
     ``covered`` by a sleeve.
@@ -91,4 +89,5 @@ def _skin_tone(face: F64 | None, hands: list[F64], covered: bool) -> F64 | None:
     bare = [one for one in hands if likeness(one[None] * face.sum() / max(one.sum(), 1e-6), face[None])[0] > 0.5]
     if len(hands) == 2 and not bare and not covered and likeness(hands[0][None], hands[1][None])[0] > 0.5:
         return np.asarray(np.mean(hands, axis=0))
-    return max([face, *bare], key=lambda tone: float(tone.sum()))
+    near = [one for one in bare if one.sum() > _MIN_BRIGHTNESS * face.sum()]
+    return np.asarray(np.mean(near, axis=0)) if near else face

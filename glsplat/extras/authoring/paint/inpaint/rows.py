@@ -29,8 +29,6 @@ _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
 _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
-_LIGHT, _MIXED_LIGHT = 0.25, 0.8  # of brightness that light explains: in a row of one tone, and of several
-_SEVERAL_TONES = 0.1  # tolerance of such a row, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,13 +127,10 @@ def in_one_tone(parts: Sequence[Rows]) -> list[Rows]:
         return []
     place = np.concatenate([rows.places for rows in parts])
     colour = np.concatenate([rows.colour for rows in parts])
-    several = np.concatenate([rows.tolerance for rows in parts]) > _SEVERAL_TONES
     toned = []
     for rows in parts:
         near = np.abs(rows.places[:, None] - place) <= _TONE_M
-        light = np.where(several & (rows.tolerance > _SEVERAL_TONES)[:, None], _MIXED_LIGHT, _LIGHT)
-        pairs = zip(rows.colour, light, strict=True)
-        alike = near & np.stack([unlike(colour, own[None], shading) < _TONE_DISTANCE for own, shading in pairs])
+        alike = near & np.stack([unlike(colour, own[None]) < _TONE_DISTANCE for own in rows.colour])
         mean = alike @ colour / alike.sum(axis=1, keepdims=True)
         outer = np.where(rows.outer == rows.colour, mean, rows.outer)
         tolerance = rows.tolerance + lengths(mean - rows.colour)

@@ -91,7 +91,8 @@ class Tailoring:
 
 def tailoring_of(mesh: RiggedMesh, cloth: Cloth, trousers: bool) -> Tailoring:
     """Return the seams, hems and folds of the dressed ``mesh``; a body without ``trousers`` wears a skirt."""
-    hems, waist = {}, float(mesh.skeleton.joints[JOINT_NAMES.index("left_hip"), 1])
+    hems: dict[int, F64] = {}
+    waist = float(mesh.skeleton.joints[JOINT_NAMES.index("left_hip"), 1])
     for number in (TRUNK, *LEGS, *SLEEVES):
         if (rows := cloth.rows[number]) is not None:
             hems[number] = rows.places[:-1][lengths(np.diff(rows.colour, axis=0)) > SAME_COLOUR_DISTANCE] + ROW_M / 2
@@ -101,9 +102,13 @@ def tailoring_of(mesh: RiggedMesh, cloth: Cloth, trousers: bool) -> Tailoring:
         if not len(low) and trousers:  # a shirt of the trousers' colour ends where this changes most, or at the hips
             some = 2 + np.flatnonzero((trunk.places[2:-2] > waist) & (trunk.places[2:-2] < waist + _WAIST_M))
             change = lengths(trunk.colour[some + 2] - trunk.colour[some - 2])
-            low = trunk.places[some[change.argmax()]] if change.max(initial=0) > _MIN_WAIST_CHANGE else waist
+            low = (
+                trunk.places[some[[change.argmax()]]]
+                if change.max(initial=0) > _MIN_WAIST_CHANGE
+                else np.array([waist])
+            )
             hems[TRUNK] = np.append(hems[TRUNK], low)
-        waist = float(np.min(low, initial=np.inf)) if np.size(low) else waist
+        waist = float(low.min()) if len(low) else waist
         if neck is not None and lengths(neck.colour[:1] - trunk.colour[-1:])[0] > SAME_COLOUR_DISTANCE:
             hems[TRUNK] = np.append(hems[TRUNK][hems[TRUNK] < cloth.armpit], cloth.collar)
     behind = ramp(vertex_normals(mesh.vertices, mesh.faces)[:, 2], *_BEHIND)
