@@ -56,7 +56,7 @@ class Paint:
     rgb: F64  # [M, 3] sRGB in [0, 1]
     visibility: F64  # [M] from 0, guessed, to 1, visible
     detail: F64  # [M] from 0, plain, to 1, full of detail
-    guessed: F64  # [M] from 0 to 1, of cloth alone
+    guessed: F64  # [M] from 0 to 1, of a trunk's plain cloth alone: on thin limbs wide splats blur
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class Painter:
         detail[unsure] = np.maximum(detail[unsure], _GUESSED_DETAIL_FACTOR * guessed_detail * (1 - visibility[unsure]))
         colour[unsure] = guess + visibility[unsure, None] * (colour[unsure] - guess)
         rgb = self.inside.over(to_srgb(colour), points)
-        guessed = (1 - visibility) * (material.known > 0)
+        guessed = (1 - visibility) * (self.cloth.region(points) == TRUNK) * ~material.pattern
         return np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail, COLOUR_DIGITS), guessed
 
     def colours(self, points: SurfacePoints) -> F64:
