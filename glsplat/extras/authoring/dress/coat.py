@@ -38,7 +38,7 @@ MIN_COVERED_FRACTION = 0.97
 """Of the gap between the legs, by a skirt or a coat."""
 
 
-def unlike(look: F64, colour: F64, shading: float = 0.25) -> F64:
+def unlike(look: F64, colour: F64, shading: float | F64 = 0.25) -> F64:
     """Return [M] distances of ``look`` [M, 3] from ``colour`` [M or 1, 3], without what folds and shadows explain.
 
     Both are square roots of linear light; folds and shadows change a colour by the fraction ``shading``.

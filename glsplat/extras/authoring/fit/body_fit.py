@@ -56,6 +56,10 @@ _ARM_EDGE_FRACTION = 0.008  # farther from an arm the mask shows the trunk
 _HAND_REACH_FRACTION, _MAX_HELD_FRACTION = 0.08, 0.025  # near a hand, larger offsets are held things, not cloth
 _MAX_RIM_COSINE, _MAX_DRESSED_RIM_COSINE = 0.35, 0.22  # of normal and line of sight; cloth has sharper outlines
 _MIN_PLAIN_COSINE = 0.8  # of normal and offset; vertices below it, in an ear's folds, follow their neighbours
+_FREE_M, _STAND_OFF = (
+    (0.04, 0.015),
+    (0.5, 0.3),
+)  # offsets kept, and of more the fraction: at the sides, before and behind
 _MAX_SOLE_M = 0.020  # thickness; more would be height that the body lacks
 _ELBOW_AND_WRIST_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks
 
@@ -292,7 +296,18 @@ def fit_clothes(
         offsets = smooth_offsets(body, known, far, offsets)
         if many_views:
             offsets = np.where(soles, np.minimum(offsets, _MAX_SOLE_M), offsets)
-    return offsets
+    return _hung(body, offsets, directions) if len(views) == 1 else offsets
+
+
+def _hung(body: Body, offsets: F64, directions: F64) -> F64:
+    """Return ``offsets`` [V] of one picture's outline with less cloth before and behind: coats stand off to the sides.
+
+    Raised arms and open coats make an outline wider than its person.
+    """
+    free, share = (near + (far - near) * np.abs(directions[:, 2]) for near, far in (_FREE_M, _STAND_OFF))
+    off = np.maximum(offsets - free, 0) * (1 - share)
+    trunk = [k for k, name in enumerate(JOINT_NAMES) if any(part in name for part in ("pelvis", "spine", "hip"))]
+    return offsets - off * (body.skin_weights * np.isin(body.skin_joints, trunk)).sum(axis=1)
 
 
 def _medians(vertices: NDArray[np.intp], wanted: F64) -> tuple[NDArray[np.intp], F64]:

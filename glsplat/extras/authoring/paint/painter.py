@@ -17,14 +17,16 @@ from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.networks.eye import EyeLook
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
-from glsplat.extras.authoring.paint.inpaint.cloth import Cloth, cloth_of
+from glsplat.extras.authoring.paint.inpaint.cloth import NECK, TRUNK, Cloth, cloth_of
 from glsplat.extras.authoring.paint.inpaint.hands import Hands, hands_of
 from glsplat.extras.authoring.paint.inpaint.material import Material
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
+from glsplat.extras.authoring.paint.inpaint.tailoring import Tailoring, tailoring_of
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.shoes import ShoePainter, shoe_painter
+from glsplat.extras.authoring.paint.skin_tone import likeness
 from glsplat.extras.authoring.paint.smooth import fill_smoothly
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.meshes import RiggedMesh
@@ -38,10 +40,11 @@ COLOUR_DIGITS = 6
 # faces and chins have no counterpart at the back
 _UNMATCHED = ("neck", *HEAD)
 _GUESSED_DETAIL_FACTOR = 0.6  # guessed detail gets fewer splats than visible detail
-_CONTRASTS = 0.25, 0.5  # of sRGB, between a guess and the front: too little to show through, surely visible
 _BLOCK_POINTS = 1 << 15  # painted together by one core
 _MIRROR_WEIGHT = 0.003  # of the other half's colour for a vertex seen in no picture
-_UNSEEN_CLOTH_DECAY = 3e-4  # pull of unseen cloth towards the colour of its row
+_UNSEEN_CLOTH_DECAY = 1e-4  # pull of unseen cloth towards the colour of its row
+_LIGHT_RANGE = 0.6, 1.6  # of guessed cloth, over its colour
+_FLANK_SHADING = 0.4  # of a colour's brightness: light and shade of the visible cloth go on round the flank
 _MIRROR_FADE = 0.35, 0.6  # of a trunk's half width: signs are in its middle, so nothing is mirrored there
 _SHADE_RATIO_RANGE = 0.3, 1.4  # of an unseen point's light over that of its source
 
@@ -53,7 +56,7 @@ class Paint:
     rgb: F64  # [M, 3] sRGB in [0, 1]
     visibility: F64  # [M] from 0, guessed, to 1, visible
     detail: F64  # [M] from 0, plain, to 1, full of detail
-    contrast: F64  # [M] of guessed colours to the front at the same place, from 0, alike, to 1
+    guessed: F64  # [M] from 0 to 1, of a trunk's plain cloth alone: on thin limbs wide splats blur
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,9 @@ class Painter:
     sleeves: SurfacePoints | None  # [V] point of the trunk whose cloth an arm's vertex takes; None for plain cloth
     mirror_weights: F64  # [V] weight of the body's other half for vertices seen in no picture
     hands: Hands
+    tailoring: Tailoring
     shoes: ShoePainter | None  # of vertices after the body's
+    bald: bool  # hair on the neck is not painted
 
     def paint(self, points: SurfacePoints) -> Paint:
         """Return the colours of the points; only points not seen squarely are guessed."""
@@ -87,21 +92,20 @@ class Painter:
             own = self._paint_block(points.take(~worn))
             shoes = self.shoes.paint(points.take(worn))
             order = np.argsort(np.concatenate([np.flatnonzero(~worn), np.flatnonzero(worn)]))
-            rgb, visibility, detail = (np.concatenate(both)[order] for both in zip(own[:3], shoes, strict=True))
-            return rgb, visibility, detail, np.append(own[3], np.zeros(len(shoes[0])))[order]
+            both = zip(own, (*shoes, np.zeros(len(shoes[0]))), strict=True)
+            rgb, visibility, detail, guessed = (np.concatenate(each)[order] for each in both)
+            return rgb, visibility, detail, guessed
         samples, material, shade = self._sample_pictures(points)
         visibility, colour = _mix_views(samples)
         detail = np.max([sample.detail * sample.visibility for sample in samples], axis=0)
         unsure = np.flatnonzero(visibility < 1)
         part = points.take(unsure)
-        guess, guessed_detail, unlike = self._guess(part, material.at(unsure), shade[unsure])
+        guess, guessed_detail = self._guess(part, material.at(unsure), shade[unsure])
         detail[unsure] = np.maximum(detail[unsure], _GUESSED_DETAIL_FACTOR * guessed_detail * (1 - visibility[unsure]))
-        contrast = np.zeros(len(visibility))
-        contrast[unsure] = unlike * (1 - visibility[unsure])
         colour[unsure] = guess + visibility[unsure, None] * (colour[unsure] - guess)
         rgb = self.inside.over(to_srgb(colour), points)
-        detail, contrast = (np.round(each, COLOUR_DIGITS) for each in (detail, contrast))
-        return np.round(rgb, COLOUR_DIGITS), visibility, detail, contrast
+        guessed = (1 - visibility) * (self.cloth.region(points) == TRUNK) * ~material.pattern
+        return np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail, COLOUR_DIGITS), guessed
 
     def colours(self, points: SurfacePoints) -> F64:
         """Return ``paint(points).rgb``, computed on one core."""
@@ -113,11 +117,15 @@ class Painter:
         shade = self.light.shade(points.directions(self.shots[0].normals))
         material, first = self.cloth.at(points), samples[0]
         foreign = self.cloth.foreign(self.shots[0], points, first.linear, shade, material)
+        if self.cloth.skin is not None and not self.tailoring.trousers:  # the sheet of a skirt shows no leg
+            worn, where, _ = self.tailoring.worn(points)
+            bare = likeness(first.linear / shade[:, None], self.cloth.skin[None] ** 2)
+            foreign = np.maximum(foreign, worn * bare * (where[:, 1] < self.tailoring.waist))
         samples[0] = replace(first, visibility=first.visibility * (1 - foreign))
         return samples, material, shade
 
-    def _guess(self, points: SurfacePoints, material: Material, shade: F64) -> tuple[F64, F64, F64]:
-        """Return [M, 3] linear colours where no picture looks, [M] their detail, and [M] contrast to the front."""
+    def _guess(self, points: SurfacePoints, material: Material, shade: F64) -> tuple[F64, F64]:
+        """Return [M, 3] linear colours where no picture looks, and [M] their detail."""
         body, front = self.body, self.shots[0]
         # the front at the same place where it shows the same cloth, but for the head
         matched = self.matches.colours(front, points)
@@ -130,9 +138,16 @@ class Painter:
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
+        if self.bald:
+            collar = (self.cloth.region(points) == TRUNK) & vertices_of(body, "neck")[points.corners[:, 0]]
+            covered = covered * ~collar
         # added, not layered: layering would show a third colour where neck and back meet
         rest = 1 - trust - covered
-        plain = np.maximum(points.at(self.plain) + material.known[:, None] * material.colour, 0)
+        plain = points.at(self.plain) + material.known[:, None] * material.colour
+        low, high = ((factor * material.known)[:, None] * material.colour for factor in _LIGHT_RANGE)
+        plain = plain.clip(low, np.where(material.known[:, None] > 0, high, np.inf))
+        sewn, seams = self.tailoring.at(points)
+        plain *= sewn[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * matched.linear
         # the other half of the body may show what this one hides
@@ -153,8 +168,8 @@ class Painter:
                 self._sleeve_colours(points, some, shade) - guess[some]
             )
         guess = self.hands.over(points, guess)
-        contrast = ramp(np.abs(to_srgb(guess) - to_srgb(matched.linear)).max(axis=1), *_CONTRASTS)
-        return guess, np.maximum(matched.detail * trust, other.detail * mirror_share), contrast
+        guessed = np.maximum(matched.detail * trust, other.detail * mirror_share)
+        return guess, np.maximum(guessed, seams * (1 - trust))
 
     def _sleeve_colours(self, points: SurfacePoints, some: NDArray[np.intp], shade: F64) -> F64:
         """Return [K, 3] linear colours for ``some`` points of sleeves, taken from the trunk's cloth."""
@@ -172,11 +187,12 @@ def painter_of(
     looks: Mapping[str, EyeLook] | None = None,
     shod: RiggedMesh | None = None,
     hand_texture: NDArray[np.uint8] | None = None,
+    bald: bool = False,
 ) -> Painter:
     """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
     Light and cloth are estimated at ``points``, which should lie evenly over its surface. ``shod`` is the body with
-    shoes, if it has any; ``hand_texture`` that of the open body's skin.
+    shoes, if it has any; ``hand_texture`` that of the open body's skin; ``bald`` leaves hair on the neck to a template.
     """
     front = shots[0]
     start_front = run_in_background(lambda: Front(front.mesh))
@@ -192,7 +208,10 @@ def painter_of(
     shoes = None if shod is None else shoe_painter(body, front, light, shod)
     weights = _mirror_weights(body, front)
     hands = hands_of(body, front, light, hand_texture)
-    return Painter(body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, shoes)
+    tailoring = tailoring_of(front.mesh, cloth, len(front.mesh.faces) == len(body.faces))
+    return Painter(
+        body, shots, inside, light, cloth, plain, matches, head(), sleeves, weights, hands, tailoring, shoes, bald
+    )
 
 
 def _mirror_weights(body: Body, shot: FittedPicture) -> F64:
@@ -219,14 +238,18 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, clo
     count = len(body.vertices)
     known, target = np.zeros(count), np.zeros((count, 3))
     first = shots[0]
-    material = cloth.at(SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3)))
+    vertices = SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3))
+    material, shading = (
+        cloth.at(vertices),
+        np.where(cloth.region(vertices) == NECK, 0, _FLANK_SHADING),
+    )  # hair is no shade
     clothed = material.known > 0
     for shot in shots:
         trust = shot.visibility * body.skin
         # one room for all pictures: normals are turned into the first camera's axes
         shade = light.shade(shot.normals @ (shot.view.root @ first.view.root.T))
         plain = shot.sample(shot.view.pixels, shot.layer) / shade[:, None]
-        trust = trust * material.likeness(plain, patterned=False)  # a print does not flow into the cloth beside it
+        trust = trust * material.likeness(plain, patterned=False, shading=shading)  # a print does not flow on
         known += trust
         target += trust[:, None] * plain
     mirrored = mirror_vertices()

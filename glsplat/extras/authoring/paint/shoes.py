@@ -43,6 +43,7 @@ _PICTURE_PX = 900  # height of the picture in which occlusion is tested
 _DEPTH_TOLERANCE_M = 0.012
 _VISIBILITY_COSINES = 0.12, 0.42
 _EDGE_FRACTION = 0.0015  # of the person's height: what the mask takes for a sole may be the floor
+_GAP_FRACTIONS = 0.025, 0.06  # of the height: rows of the mask below a fitted shoe
 _SITES = 30_000  # points at which the template's texture is read
 _MAX_SEEN = 700
 _NEAR_M, _ROW_M, _LENGTH_M = 0.015, 0.012, 0.05  # standard deviations of colours around a point, and on the other side
@@ -114,6 +115,7 @@ class ShoePainter:
     inner: NDArray[np.bool_]  # [H, W] the person without its edge
     rest: F64  # [V, 3] metres, in the zero pose
     colour: F64  # [V, 3] linear, unlit
+    lower: F64  # [V] pixels by which the picture shows shoes below the fitted ones, as of heels
     seams: tuple[cKDTree, F64]  # points of the shoes at rest, and the factors [K] of their brightness
 
     def paint(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
@@ -133,6 +135,7 @@ class ShoePainter:
         pixels = self.shot.project(where)
         facing = -component_sums(normals * where) / lengths(where)
         near = where[:, 2] < _pixel(self.depth, pixels, self.depth.shape[0] / self.inner.shape[0]) + _DEPTH_TOLERANCE_M
+        pixels[:, 1] += points.at(self.lower[:, None])[:, 0]
         visibility = smoothstep(facing, *_VISIBILITY_COSINES) * near * _pixel(self.inner, pixels, 1.0)
         return self.shot.sample(pixels), visibility, self.light.shade(normals)
 
@@ -154,7 +157,9 @@ def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh)
     normals = vertex_normals(where, mesh.faces)
     sites, uv = _sites_of(mesh)
     rest = mesh.vertices
-    painter = ShoePainter(shot, light, where, normals, depth, inner, rest, nothing, (cKDTree(rest[:1]), np.ones(1)))
+    lower = _gaps_below(shot, shot.project(where), rest, len(view.vertices))
+    seams = cKDTree(rest[:1]), np.ones(1)
+    painter = ShoePainter(shot, light, where, normals, depth, inner, rest, nothing, lower, seams)
     linear, visibility, shade = painter.sample(sites)
     plain, place = linear / shade[:, None], sites.at(rest)
     log = np.log(to_linear(shoes.sample(uv)[:, :3]) @ (0.2126, 0.7152, 0.0722) + 0.004)
@@ -172,6 +177,19 @@ def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh)
     spread = float(np.log(plain[sure].sum(axis=1) + 0.01).std()) if sure.any() else 0.0
     contrast = np.clip(spread / max(float(seam.std()), 1e-3), *_CONTRAST_RANGE)
     return replace(painter, colour=colour, seams=(cKDTree(place), np.exp(contrast * seam).clip(0.4, 1.8)))
+
+
+def _gaps_below(shot: FittedPicture, pixels: F64, rest: F64, first: int) -> F64:
+    """Return [V] rows by which the mask reaches below each shoe, 0 at its top; their vertices begin at ``first``."""
+    lower, height = np.zeros(len(rest)), shot.picture_layers.height
+    for sign in (1.0, -1.0):
+        mine = first + np.flatnonzero(sign * rest[first:, 0] > 0)
+        (left, top), (right, bottom) = pixels[mine].min(axis=0), pixels[mine].max(axis=0)
+        columns = shot.mask[:, max(int(left), 0) : int(right) + 1].any(axis=1)
+        gap = float(np.flatnonzero(columns).max(initial=0)) - bottom
+        if _GAP_FRACTIONS[0] * height < gap < _GAP_FRACTIONS[1] * height:
+            lower[mine] = gap * (pixels[mine, 1] - top) / (bottom - top)
+    return lower
 
 
 def _sites_of(mesh: RiggedMesh) -> tuple[SurfacePoints, F64]:

@@ -65,8 +65,7 @@ class Fusion:
         guess = points.at(self.filled)
         rgb = to_srgb(guess + (visibility * (total > 0))[:, None] * (linear / known[:, None] - guess))
         rgb = self.inside.over(rgb, points)
-        detail = np.round(detail / known, COLOUR_DIGITS)
-        return Paint(np.round(rgb, COLOUR_DIGITS), visibility, detail, np.zeros(count))
+        return Paint(np.round(rgb, COLOUR_DIGITS), visibility, np.round(detail / known, COLOUR_DIGITS), np.zeros(count))
 
     def colours(self, points: SurfacePoints) -> F64:
         """Return [M, 3] ``paint(points).rgb``."""

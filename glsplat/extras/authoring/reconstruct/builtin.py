@@ -86,11 +86,11 @@ class Builtin:
             covered = np.pad(covered, (0, len(whole.vertices) - len(covered)))
         scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
         own = scattered.points.take(scattered.points.corners[:, 0] < len(mesh.vertices))  # middles lose thin stripes
-        painter = painter_of(body, shots, own, looks, shod, hand_skin())
+        painter = painter_of(body, shots, own, looks, shod, hand_skin(), hair is not None)
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
-        avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng, painted.contrast)
+        avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng, painted.guessed)
         unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(

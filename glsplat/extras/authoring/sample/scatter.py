@@ -21,7 +21,7 @@ PHOTO_SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, sigma=2.1, ins
 """Fewer samples and rounds than for a textured mesh: faster, and a photograph has less detail."""
 
 _COVERED_DENSITY = 0.5  # of splats under hair, over that of bare surface
-_MAX_SPREAD = 1.3  # of splats before other colours, which show through the gaps between narrower ones
+_MAX_SPREAD = 1.2  # of guessed splats: the front's colours show through the gaps between narrower ones
 _SHOE_DENSITY = 2.0  # of splats on shoes: seams and laces are finer than cloth
 
 
@@ -43,11 +43,11 @@ class Scatter:
     faces: NDArray[np.intp]  # [M] triangles of the mesh
 
     def avatar(
-        self, mesh: RiggedMesh, rgb: F64, detail: F64, rng: np.random.Generator, contrast: F64 | None = None
+        self, mesh: RiggedMesh, rgb: F64, detail: F64, rng: np.random.Generator, guessed: F64 | None = None
     ) -> Avatar:
         """Return splats of colours [M, 3] in sRGB, denser where ``detail`` [M] is 1 than where it is 0.
 
-        They are wider where their ``contrast`` [M] to the front is 1. The mesh's expressions become shapes.
+        They are wider where they are ``guessed`` [M] from 0 to 1. The mesh's expressions become shapes.
         """
         corners, skin = self.points.corners, skin_of(mesh)
         rest = self.points.at(mesh.vertices)
@@ -69,7 +69,7 @@ class Scatter:
                 area=area,
                 faces=self.faces[zone],
                 skin=skin,
-                spread=None if contrast is None else 1 + (_MAX_SPREAD - 1) * contrast[zone],
+                spread=None if guessed is None else 1 + (_MAX_SPREAD - 1) * guessed[zone],
             )
             prepared.append(prepare_cells(cloud, splats, PHOTO_SAMPLER, rng))
         # the largest first, so that it does not finish last on one core

@@ -33,6 +33,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     without_mixed_rows,
 )
 from glsplat.extras.authoring.paint.ramps import ramp
+from glsplat.extras.authoring.paint.skin_tone import lab
 from glsplat.extras.authoring.paint.view_sample import FittedPicture, ViewSample
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -50,21 +51,25 @@ _REGIONS = (  # words of the joints' names; along x or y; the region of the othe
     (("left_ankle", "left_foot"), 1, 7),
     (("right_ankle", "right_foot"), 1, 6),
 )
-_TRUNK, _NECK, _BODY, _SLEEVES, _FEET = 0, 5, (0, 1, 2), (3, 4), (6, 7)
-_CLOTHED, _PAIRS = (0, 1, 2, 3, 4), ((1, 2), _SLEEVES)  # regions that may have a pattern
+TRUNK, LEGS, SLEEVES, NECK = 0, (1, 2), (3, 4), 5
+"""Regions of ``Cloth``."""
+
+_BODY, _FEET = (TRUNK, *LEGS), (6, 7)
+_CLOTHED, _PAIRS = (0, 1, 2, 3, 4), (LEGS, SLEEVES)  # regions that may have a pattern
 _MAX_PATTERN_COLOURS = 2000
 _MIN_GARMENT_ROWS = 10
 _ROW_REACH_M = 0.0125  # to both sides of a row's middle
 _MAX_SAMPLES = 60_000
 _MIN_VISIBILITY, _MIN_FACE_VISIBILITY = 0.3, 0.7
-_MIRRORED_WEIGHT = 0.2  # of a sample from the other half of the body, but for legs, whose hems are level
+_MIRRORED_WEIGHT = 0.2  # of a sample from the other half of the body, but for legs and feet, whose hems are level
 _SIDES, _UNSURE_WEIGHT = (0.3, 0.95), 0.25  # of a trunk's half width, where front and back are alike; weight elsewhere
 _FLANK = 0.75  # of a trunk's half width: lettering ends there, belts and bare bellies go on
 _SKIN_DISTANCE = 0.2  # from the face's colour: nearer colours are bare skin
+_MIN_SKIN_CHROMA = 4.5  # CIELAB
 _FACE_QUANTILES = 0.5, 0.9  # of a face's brightness
 _MIN_STRAP_FRACTION = 0.1  # of a row on the shoulders that is cloth
 _MIN_BARE_FRACTION = 0.15  # of a row on the shoulders that is skin beside a strap
-_ARMPIT_BELOW_SHOULDER_M = 0.07
+_ARMPIT_BELOW_SHOULDER_M, _COLLAR_M = 0.07, 0.03  # below the shoulder joints; above the neck's, behind
 _CHEST_M = 0.25  # below the armpits, where the upper garment's colour is taken from
 _STRAP_QUANTILE = 0.95  # of its samples' distances from the middle: a strap's edge
 _FOREIGN_TOLERANCES = 1.5, 3.0  # from a material's colour: perhaps and surely foreign
@@ -82,6 +87,7 @@ class Cloth:
     palettes: tuple[cKDTree | None, ...]  # square roots of the colours away from outlines, of patterned regions
     skin: F64 | None  # [3] square root of the face's colour
     armpit: float  # metres of height
+    collar: float  # the same, of a collar's edge behind
 
     def region(self, points: SurfacePoints) -> Ints:
         """Return [M] the regions of points; negative: none."""
@@ -90,13 +96,13 @@ class Cloth:
     @property
     def nape(self) -> F64 | None:
         """[3] unlit linear colour of the neck below the head."""
-        rows = self.rows[_NECK]
+        rows = self.rows[NECK]
         return None if rows is None else rows.colour[-1] ** 2
 
     @property
     def patterned(self) -> tuple[float, float] | None:
         """Lowest and highest patterned row of the trunk below the armpits, metres; None without any."""
-        rows = self.rows[_TRUNK]
+        rows = self.rows[TRUNK]
         if rows is None:
             return None
         places = rows.places[rows.pattern & (rows.places < self.armpit)]
@@ -104,7 +110,7 @@ class Cloth:
 
     def on_sleeves(self, points: SurfacePoints) -> NDArray[np.bool_]:
         """Return [M] which of the points are on arms."""
-        return np.asarray(np.isin(self.region(points), _SLEEVES))
+        return np.asarray(np.isin(self.region(points), SLEEVES))
 
     def foreign(self, shot: FittedPicture, points: SurfacePoints, linear: F64, shade: F64, material: Material) -> F64:
         """Return [M] from 0 to 1: how surely colours [M, 3] of ``shot`` near an outline belong to something else.
@@ -122,12 +128,12 @@ class Cloth:
         some = np.flatnonzero((material.known > 0) & (distance > _FOREIGN_TOLERANCES[0]) & ~np.isin(mine, _FEET))
         near = shot.outline_distance(pixels[some], shot.layers_at(points)[some]) < _RIM_FRACTION
         # a fitted arm may be some centimetres off, over pixels of the trunk's cloth
-        near |= np.isin(mine[some], _SLEEVES) & shot.over_trunk(pixels[some])
+        near |= np.isin(mine[some], SLEEVES) & shot.over_trunk(pixels[some])
         some = some[near]
         if not len(some):
             return out
         other = lengths(look[some] - np.sqrt(shot.background(pixels[some]) / shade[some, None]))
-        for numbers, others in ((_SLEEVES, _BODY), (_BODY, _SLEEVES)):
+        for numbers, others in ((SLEEVES, _BODY), (_BODY, SLEEVES)):
             rows = [rows.colour for k in others if (rows := self.rows[k]) is not None]
             which = np.isin(mine[some], numbers)
             if rows and which.any():
@@ -144,7 +150,7 @@ class Cloth:
         colour, tolerance, known = np.zeros((count, 3)), np.full(count, MIN_TOLERANCE), np.zeros(count)
         pattern, skin = np.zeros(count, bool), np.full((count, 3), np.nan)
         if self.skin is not None:
-            skin[(region == _TRUNK) & (where[:, 1] > self.armpit)] = self.skin
+            skin[(region == TRUNK) & (where[:, 1] > self.armpit)] = self.skin
         for number, rows in enumerate(self.rows):
             mine = np.flatnonzero(region == number)
             if rows is None or not len(mine):
@@ -166,7 +172,8 @@ class Cloth:
 def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: ViewSample, shade: F64) -> Cloth:
     """Return the rows of the body in ``shot``, from its ``sample`` of ``points`` [M] in a light of ``shade`` [M]."""
     rest = shot.mesh.vertices
-    shares = _shares(body, rest)
+    neck_joint = shot.mesh.skeleton.joints[JOINT_NAMES.index("neck")]
+    shares = _shares(body, rest, neck_joint)
     region = np.where(shares.argmax(axis=1) < len(_REGIONS), shares.argmax(axis=1), -1)
     some = np.flatnonzero(sample.visibility > _MIN_VISIBILITY)
     some = some[:: max(1, len(some) // _MAX_SAMPLES)]
@@ -176,12 +183,14 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
     mine = _region_at(part, shares)
     share = np.abs(where[:, 0]) / np.maximum(part.at(trunk_half_width(rest, trunk_vertices(body))[:, None])[:, 0], 1e-3)
     beside = (share > _SIDES[0]) & (share < _SIDES[1])
-    visibility = visibility * np.where((mine == _TRUNK) & ~beside, _UNSURE_WEIGHT, 1.0)
+    visibility = visibility * np.where((mine == TRUNK) & ~beside, _UNSURE_WEIGHT, 1.0)
     pixels = shot.project(part.at(shot.view.vertices))
     deep = shot.outline_distance(pixels, shot.layers_at(part)) >= _RIM_FRACTION
     visibility = visibility * np.where(deep, 1.0, _UNSURE_WEIGHT)
     face = (face_vertices(body)[part.corners]).all(axis=1) & (sample.visibility[some] > _MIN_FACE_VISIBILITY)
     skin = _face_colour(look[face]) if face.sum() > 2 * MIN_ROW_WEIGHT else None
+    if skin is not None and np.hypot(*lab(skin[None] ** 2)[0, 1:]) < _MIN_SKIN_CHROMA:
+        skin = None  # a grey picture: cloth may have any skin's colour
     shoulder = shot.mesh.skeleton.joints[[JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 1]
     armpit = float(shoulder.mean()) - _ARMPIT_BELOW_SHOULDER_M
 
@@ -189,7 +198,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         _, axis, other = _REGIONS[number]
         own = region == number
         along = np.abs(rest[own, 0]) if axis == 0 else rest[own, 1]
-        mirrored = 1.0 if number in _BODY else _MIRRORED_WEIGHT
+        mirrored = _MIRRORED_WEIGHT if number in SLEEVES else 1.0
         weight = visibility * ((mine == number) + mirrored * (mine == (-1 if other is None else other)))
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
@@ -198,16 +207,16 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         if these is None:
             return None
         if number in _CLOTHED:
-            below = (number != _TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
+            below = (number != TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
             row = ((at - these.first) / ROW_M).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
             x, y = where[taken, 0], where[taken, 1]
             across = y if axis == 0 else x if other is None else np.abs(x)
             pattern = goes_around(these.colour, row, across[below], look[taken][below], weight[taken][below])
-            if number != _TRUNK and skin is not None:  # bare knees and elbows are no pattern
-                least = NECKLINE_DISTANCE if number in _SLEEVES else _SKIN_DISTANCE
+            if number != TRUNK and skin is not None:  # bare knees and elbows are no pattern
+                least = NECKLINE_DISTANCE if number in SLEEVES else _SKIN_DISTANCE
                 pattern &= np.linalg.norm(these.colour - skin, axis=1) > least
             these = replace(these, pattern=pattern)
-        if number != _TRUNK:
+        if number != TRUNK:
             return without_mixed_rows(these)
         sides = rows_of(axis, ends, at, look[taken], weight[taken] * (share[taken] > _FLANK), _ROW_REACH_M)
         return without_mixed_rows(these, None if sides is None else sides.colour)
@@ -220,21 +229,21 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
             both = one.pattern[:count] & other_one.pattern[:count]
             rows[left] = replace(one, pattern=np.pad(both, (0, len(one.pattern) - count)))
             rows[right] = replace(other_one, pattern=np.pad(both, (0, len(other_one.pattern) - count)))
-    trunk, neck, here = rows[_TRUNK], rows[_NECK], np.flatnonzero(mine == _TRUNK)
+    trunk, neck, here = rows[TRUNK], rows[NECK], np.flatnonzero(mine == TRUNK)
     if neck is not None and skin is not None:
-        rows[_NECK] = _clean_neck(neck, skin)
+        rows[NECK] = _clean_neck(neck, skin)
     if trunk is not None and skin is not None:
-        rows[_TRUNK] = _cover_shoulders(trunk, where[here], look[here], visibility[here], skin, armpit)
-    for number in _SLEEVES:
-        sleeve, trunk = rows[number], rows[_TRUNK]
+        rows[TRUNK] = _cover_shoulders(trunk, where[here], look[here], visibility[here], skin, armpit)
+    for number in SLEEVES:
+        sleeve, trunk = rows[number], rows[TRUNK]
         if sleeve is not None and trunk is not None and skin is not None:
             rows[number] = _pattern_sleeve(sleeve, trunk, skin, armpit)
-    for numbers in (_BODY, _SLEEVES, (_NECK,)):
+    for numbers in (_BODY, SLEEVES, (NECK,)):
         seen = {number: each for number in numbers if (each := rows[number]) is not None}
         for number, each in zip(seen, in_one_tone(list(seen.values())), strict=True):
             rows[number] = each
     palettes = [_palette(row, look[deep & (mine == number)]) for number, row in enumerate(rows)]
-    return Cloth(rest, shares, tuple(rows), tuple(palettes), skin, armpit)
+    return Cloth(rest, shares, tuple(rows), tuple(palettes), skin, armpit, float(neck_joint[1]) + _COLLAR_M)
 
 
 def _palette(rows: Rows | None, look: F64) -> cKDTree | None:
@@ -244,20 +253,24 @@ def _palette(rows: Rows | None, look: F64) -> cKDTree | None:
     return cKDTree(look[:: max(1, len(look) // _MAX_PATTERN_COLOURS)])
 
 
-def _shares(body: Body, rest: F64) -> F64:
+def _shares(body: Body, rest: F64, neck: F64) -> F64:
     """Return [V, R + 1] the largest skinning weight of each region's joints, and of those without a region.
 
-    Legs above the crotch are trunk: a shirt's hem is a row there. ``rest`` [V, 3] is the surface in the zero pose.
+    Legs above the crotch are trunk: a shirt's hem is a row there. Behind the joint ``neck`` [3] collars are level.
+    ``rest`` [V, 3] is the surface in the zero pose.
     """
     of_joint = np.full(len(JOINT_NAMES), len(_REGIONS), np.intp)
     for number, (words, _, _) in enumerate(_REGIONS):
         of_joint[[index for index, name in enumerate(JOINT_NAMES) if any(word in name for word in words)]] = number
     shares = np.zeros((len(body.vertices), len(_REGIONS) + 1))
     np.maximum.at(shares, (np.arange(len(shares))[:, None], of_joint[body.skin_joints]), body.skin_weights)
-    crotch = rest[shares.argmax(axis=1) == _TRUNK, 1].min()
-    legs, above = [number for number in _BODY if number != _TRUNK], ramp(rest[:, 1], crotch, crotch + ROW_M)[:, None]
-    shares[:, [_TRUNK]] += above * shares[:, legs].sum(axis=1, keepdims=True)
+    crotch = rest[shares.argmax(axis=1) == TRUNK, 1].min()
+    legs, above = [number for number in _BODY if number != TRUNK], ramp(rest[:, 1], crotch, crotch + ROW_M)[:, None]
+    shares[:, [TRUNK]] += above * shares[:, legs].sum(axis=1, keepdims=True)
     shares[:, legs] *= 1 - above
+    nape = ramp(rest[:, 1] - neck[1], _COLLAR_M + ROW_M, _COLLAR_M) * (rest[:, 2] < neck[2])
+    shares[:, TRUNK] += nape * shares[:, NECK]
+    shares[:, NECK] *= 1 - nape
     return np.where(body.skin[:, None], shares, np.eye(len(_REGIONS) + 1)[-1])
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.extras.authoring.dress.coat import unlike
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.rotations import lengths
 
@@ -33,17 +34,20 @@ class Material:
         fields = ("colour", "tolerance", "known", "pattern", "skin")
         return Material(*(getattr(self, field)[some] for field in fields))
 
-    def distance(self, look: F64) -> F64:
-        """Return [M] distances of square roots of unlit linear colours [M, 3] from its colour, in tolerances."""
-        return np.asarray(lengths(look - np.sqrt(self.colour)) / self.tolerance)
+    def distance(self, look: F64, shading: float | F64 = 0.0) -> F64:
+        """Return [M] distances of square roots of unlit linear colours [M, 3] from its colour, in tolerances.
 
-    def likeness(self, plain: F64, patterned: bool = True) -> F64:
+        What the fraction ``shading`` of more or less light explains is left out.
+        """
+        return np.asarray(unlike(look, np.sqrt(self.colour), shading) / self.tolerance)
+
+    def likeness(self, plain: F64, patterned: bool = True, shading: float | F64 = 0.0) -> F64:
         """Return [M] from 0 to 1: how surely unlit linear colours [M, 3] are this material.
 
-        With ``patterned``, colours of its pattern are, too.
+        With ``patterned``, colours of its pattern are, too. For ``shading`` see ``distance``.
         """
         look = np.sqrt(np.maximum(plain, 0))
-        sure = ramp(self.distance(look), _OTHER_TOLERANCES, _SAME_TOLERANCES)
+        sure = ramp(self.distance(look, shading), _OTHER_TOLERANCES, _SAME_TOLERANCES)
         if patterned:
             sure[self.pattern & ~(lengths(look - self.skin) < NECKLINE_DISTANCE)] = 1.0
         return np.where(self.known > 0, sure, 1.0)

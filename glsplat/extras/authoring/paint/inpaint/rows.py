@@ -48,6 +48,10 @@ class Rows:
         """[R] metres along the axis."""
         return np.asarray(self.first + ROW_M * np.arange(len(self.colour)))
 
+    def index(self, along: F64) -> NDArray[np.intp]:
+        """Return [M] the rows at places ``along`` [M] the axis, metres."""
+        return np.round((along - self.first) / ROW_M).astype(np.intp).clip(0, len(self.colour) - 1)
+
 
 def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> Rows | None:
     """Return the rows between ``ends`` (metres) from samples ``at`` [K] metres; None if none has enough of them.
