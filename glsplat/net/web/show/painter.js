@@ -34,11 +34,6 @@ export class Painter {
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(lines), gl.STATIC_DRAW);
   }
 
-  /** True once there is a pair to show. */
-  get hasPair() {
-    return this.shownAs.length > 0;
-  }
-
   /** What the pairs were asked for with, {cameras, plane, where}, and `info` of their replies: of a mirror, and of what is not in one. */
   get shownAs() {
     return this.#pairs.map(({ asked }) => asked).filter(Boolean);
@@ -131,18 +126,6 @@ export class Painter {
     this.#gl.viewport(x, y, width, height);
     const clip = new Float32Array(multiply(projection, invert(transform)));
     for (const label of labels) this.#drawLabel(clip, label);
-  }
-
-  /** How many bytes of GPU memory the pair takes is not known to WebGL; give all of it back. */
-  release() {
-    for (const { colour, alpha, grid } of this.#pairs.flatMap(({ eyes }) => eyes)) {
-      grid.release();
-      this.#gl.deleteTexture(colour);
-      this.#gl.deleteTexture(alpha);
-      this.textures -= 2;
-    }
-    for (const pair of this.#pairs) pair.eyes = [];
-    this.forget();
   }
 
   #drawPicture({ asked: { cameras, where }, eyes }, clip, transform, index) {

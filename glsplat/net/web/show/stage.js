@@ -96,9 +96,8 @@ export class Stage {
   }
 
   /**
-   * Draw a frame for `views` [{transform, projection, viewport}] of `where` (a placing), and request the next picture; `also`:
-   * a second placing to be seen in pictures, whose people are in every third.
-   * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
+   * Draw a frame for `views` [{transform, projection, viewport}] of `where` (a placing), and request the next picture,
+   * every third of `also`, a placing or null, if somebody is in sight there. `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
    * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
    * room that is not ours, or null; `asks` false: request nothing; `deep`: request depths with pictures.
    * Returns the frame_id of the request, or 0.
@@ -109,7 +108,7 @@ export class Stage {
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here?.draws(views, where, this.figures.rate('shown', now), now);
     this.#ask = (drive, now) =>
-      here ? this.#askPoses(views, where, drive, now) : this.ask(views, this.#next(views, where, also, drive), drive, { alpha, light, deep, now });
+      here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { also, alpha, light, deep, now });
     const sent = asks ? this.#ask(drive, now) : 0;
     this.advance(now);
     const look = this.settings.get('place');
@@ -193,11 +192,6 @@ export class Stage {
     return this.names.labels(heads, eye, this.painter, framebuffer === null);
   }
 
-  /** Return which placing the next picture is to show. */
-  #next(views, where, also, { tracking }) {
-    return also && this.#pictures % SHARE === 0 && this.framing.sees(views, also, tracking) ? also : where;
-  }
-
   /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */
   askAgain(drive, now) {
     return this.#ask(drive, now);
@@ -230,7 +224,7 @@ export class Stage {
     if (this.settings.get('place') === 'plain') return [];
     const shown = where.glass ? this.seat : multiply(this.seat, where.shown); // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
-    const { box, feet, room } = this.painter.hasPair ? this.#shown : {};
+    const { box, feet, room } = this.painter.shownAs.length ? this.#shown : {};
     if (room) return fromPlaces(standing(room), shown);
     if (feet) return fromFeet(feet, shown);
     const trans = pose?.trans;
@@ -268,12 +262,14 @@ export class Stage {
    * Request a picture for `views` [{transform, projection}]. `drive`: {tracking, t} or {pose} of the avatar; `light` on
    * it; `alpha` false: a mirror is opaque. Returns the frame_id; 0 if nothing was sent.
    */
-  ask(views, where, drive, { alpha, light = null, deep = false, now }) {
+  ask(views, where, drive, { also = null, alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
     const side = this.sideFor(this.settings.get('size'), this.info.times, now, this.framing.seen);
-    const clear = alpha || !where.glass;
-    const framed = this.framing.frame(views, where, sample, side, age, now);
+    const frame = (one, always) => this.framing.frame(views, one, sample, side, age, now, always);
+    const framed = (also && this.#pictures % SHARE === 0 && frame(also, false)) || frame(where, true);
+    const { mirror, glass, view } = framed?.where ?? where;
+    const clear = alpha || !glass;
     const request = {
       ...drive,
       t: drive.t ?? now,
@@ -283,8 +279,8 @@ export class Stage {
       ...(clear ? { alpha: 'straight' } : {}),
       ...(clear && deep ? { depth: true } : {}),
       ...(light ? { light: onWire(light) } : {}),
-      ...(where.mirror ? { mirror: true } : {}),
-      ...(where.view === 'own' && this.canHide ? { hide: ['head'] } : {}),
+      ...(mirror ? { mirror: true } : {}),
+      ...(view === 'own' && this.canHide ? { hide: ['head'] } : {}),
     };
     if (framed) {
       const asked = { ...framed, scene: this.#scene };
@@ -298,6 +294,7 @@ export class Stage {
     this.figures.frame(now);
     const newest = this.pictures.take();
     if (!newest) return false;
+    if (newest.asked.scene !== this.#scene) return this.pictures.close(newest); // decoded while the place changed
     const started = performance.now();
     this.painter.upload(newest);
     this.#shown = newest.info;

@@ -18,7 +18,7 @@ const COMPANY = 1.6; // metres to the plane on which a picture of a whole room i
 const GUEST = [-0.8, -0.05, -0.8, 0.8, 2.1, 0.8]; // metres about where somebody stands
 const TRUNK = [-0.4, -0.05, -0.3, 0.4, -0.25, 0.15]; // metres about one's own feet, +z ahead; the upper edge from the eyes
 const LEGS = [-0.5, -0.05, -0.3, 0.5, -0.7, 0.6];
-const RAISED = -0.5; // metres from the eyes to the upper edge of a hand that hangs down, at most
+const RAISED = -0.45; // metres from the eyes to the upper edge of a hand that hangs down, at most
 const FIGURE = 0.42; // squared tangents of the frustum in which a mirror 1.2 m away shows a person whose arms hang
 const FINEST = 1.5; // pixels of a picture of a room a pixel of the display, along a side
 const MOST = 2; // times the side of the setting that a picture has at most, of a room or of somebody close
@@ -54,16 +54,24 @@ export class Framing {
   /**
    * views: [{transform (room from eye), projection}], left first. `where`: a placing; `whole`: everybody in sight.
    * `sample`: the tracking of this moment or null. `side`: the side of a square picture with as many pixels. `age`:
-   * seconds that pictures take.
+   * seconds that pictures take. `always`: of a room, also if nobody is in sight.
    * Returns {eyes, size} for the request and what `Painter.show` needs with its picture; null if nothing is in sight.
    */
-  frame(views, where, sample, side, age, now) {
+  frame(views, where, sample, side, age, now, always = true) {
     const late = Math.min(age, LATEST);
     this.#turn(views[0].transform, now);
     const head = sample?.head ? sample.head.slice(0, 3) : null;
-    const { shown, sights, cut } = this.#cut(views, where, sample, head, late);
+    const shown = corners(this.#around(sample, head, late)).map((point) => movePoint(where.shown, point));
+    const margin = Math.min(WIDEST, MARGIN + this.#speed * late);
+    const sights = views.map(({ transform, projection }) => {
+      const seen = widened(tangentsOf(projection), margin);
+      return where.glass ? clip(seen, aroundQuad(where.glass, transform), margin) : seen;
+    });
+    const solid = where.whole ? this.#company(where, sample, late) : [shown];
+    const cut = sights.map((seen, i) => seen && joined(solid.map((one) => clip(seen, around(one, views[i].transform), 0))));
     // of a room something comes even if nobody is in sight: who comes in is heard of by a reply
-    const frusta = where.whole && cut.every((frustum) => frustum === null) ? sights : cut;
+    const empty = where.whole && (always || this.furnished) && cut.every((frustum) => frustum === null);
+    const frusta = empty ? sights : cut;
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
@@ -78,25 +86,6 @@ export class Framing {
     const poses = views.map(({ transform }) => transform);
     const on = where.whole && !where.glass ? planeAt(COMPANY, poses, ahead) : plane(shown, poses, ahead);
     return { eyes, size, cameras, plane: on, where, head };
-  }
-
-  /** Whether people of a room, or what else is in it, are in sight. */
-  sees(views, where, sample) {
-    const { sights, cut } = this.#cut(views, where, sample, null, 0);
-    return (this.furnished ? sights : cut).some((frustum) => frustum !== null);
-  }
-
-  /** {shown: corners of the avatar's box, sights: what each eye can see, cut: what is in it}; frusta or null. */
-  #cut(views, where, sample, head, late) {
-    const shown = corners(this.#around(sample, head, late)).map((point) => movePoint(where.shown, point));
-    const margin = Math.min(WIDEST, MARGIN + this.#speed * late);
-    const sights = views.map(({ transform, projection }) => {
-      const seen = widened(tangentsOf(projection), margin);
-      return where.glass ? clip(seen, aroundQuad(where.glass, transform), margin) : seen;
-    });
-    const solid = where.whole ? this.#company(where, sample, late) : [shown];
-    const cut = sights.map((seen, i) => seen && joined(solid.map((one) => clip(seen, around(one, views[i].transform), 0))));
-    return { shown, sights, cut };
   }
 
   /** The box of the avatar now: the last one known, moved with the head, and the hands where they are by now. */
@@ -175,8 +164,8 @@ export class Framing {
 function ownBody({ head, ...sample }) {
   const { place: [x, , z], yaw } = standing(fromPose(head));
   const about = multiply(translation([x, 0, z]), turnY(yaw));
-  const hands = [sample.left, sample.right, sample.left_grip, sample.right_grip].filter(Boolean).map((wrist) => wrist[1] + HAND - head[1]);
-  const top = Math.max(...hands);
+  const hands = [sample.left, sample.right, sample.left_grip, sample.right_grip].filter(Boolean);
+  const top = Math.max(...hands.map((wrist) => wrist[1] + HAND - head[1]));
   const boxes = top > RAISED ? [TRUNK, LEGS, [...GUEST.slice(0, 4), top, GUEST[5]]] : [TRUNK, LEGS];
   return boxes.map((box) => corners(box.map((v, k) => v + (k === 4 ? head[1] : 0))).map((point) => movePoint(about, point)));
 }
