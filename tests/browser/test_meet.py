@@ -108,7 +108,6 @@ def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: 
 
     page.meanwhile(lambda: sharp(mirror=False))
     assert not met(mirror=True)  # it is not in sight
-
     look_left(page)
     page.meanwhile(lambda: sharp(mirror=True))
     page.page.keyboard.press("v")  # one eye sees 57 degrees to both sides
@@ -146,12 +145,8 @@ def test_all_guests_stand_in_one_place(open_page: OpenPage, served: Any) -> None
     bob.meanwhile(lambda: np.abs(np.subtract(*walls())).mean() > 5)  # a page shows its place some time after it asked
 
 
-SLOW = """() => {
-  const { postMessage } = Worker.prototype;
-  Worker.prototype.postMessage = function (message, ...rest) {
-    setTimeout(() => postMessage.call(this, message, ...rest), 'skip' in message ? 500 : 0);
-  };
-}"""
+SLOW = """() => { const { postMessage } = Worker.prototype; Worker.prototype.postMessage = function (message, ...rest) {
+  setTimeout(() => postMessage.call(this, message, ...rest), 'skip' in message ? 500 : 0); }; }"""
 
 
 def test_a_mirror_hangs_ahead_until_others_come(open_page: OpenPage, served: Any) -> None:

@@ -94,8 +94,7 @@ void main() { result = vec4(0.0, 0.0, 0.0, 1.0 - shade(point.xz)); }`,
 /** A mirror's glass over what it shows. */
 export const GLASS = {
   vertex: VERTEX,
-  fragment: `${HEAD}
-uniform vec4 paint;        // premultiplied
+  fragment: `${HEAD}uniform vec4 paint; // premultiplied
 out vec4 result;
 void main() { result = paint; }`,
 };

@@ -15,11 +15,9 @@ export class Names {
   #spare = [];
   #speaking = new Set();
 
-  /** Mark the person of that name as speaking, or not. Returns whether that is new. */
+  /** Mark the person of that name as speaking, or not. */
   speaking(name, on) {
-    const before = this.#speaking.size;
     this.#speaking[on ? 'add' : 'delete'](name);
-    return this.#speaking.size !== before;
   }
 
   /** Return whether the person of that name speaks. */

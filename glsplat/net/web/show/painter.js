@@ -116,7 +116,6 @@ export class Painter {
       if (room) this.#drawFloor(clip, transform);
       if (mirror) this.#drawMirror(clip, mirror.glass);
     }
-    if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
     for (const pair of this.#pairs) if (pair.asked && picture) this.#drawPicture(pair, clip, transform, index);
     for (const label of labels) this.#drawLabel(clip, label);
   }
@@ -171,6 +170,7 @@ export class Painter {
     const grown = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b], i) => add(glass[i], add(scale(u, a), scale(v, b))));
     // around the glass, not behind it: what is covered is not drawn twice
     this.#drawFlat(clip, [0, 1, 2, 3, 0].flatMap((i) => [grown[i], glass[i]]), COLOURS.frame);
+    this.#drawFlat(clip, [3, 2, 0, 1].map((i) => glass[i]), COLOURS.glass);
   }
 
   /** A triangle strip in one colour. */

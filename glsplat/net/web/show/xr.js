@@ -188,7 +188,6 @@ export class Immersive {
     const { hung } = this.#where;
     // a picture shows the room or its mirror image: most show what is straight ahead
     const [where, also] = hung && isAhead(hung.glass, head) ? [hung, this.#where] : [this.#where, hung];
-    const { view } = where;
     // the glass of a mirror in no place is black: nothing shows through
     const alpha = this.mode === 'ar' || this.#settings.get('place') !== 'plain';
     const { framebuffer } = session.renderState.baseLayer;
@@ -196,7 +195,7 @@ export class Immersive {
     const labels = () => this.#labels(frame, head, sample, now);
     this.#stage.display = session.frameRate;
     const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
-    const deep = view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
+    const deep = where.view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
     this.#stage.frame(views, where, this.#drive(sample, now), { also, framebuffer, alpha, transparent, room, around, labels, deep, now });
   }
 
