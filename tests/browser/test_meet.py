@@ -34,7 +34,7 @@ def seen(job: RenderJob) -> dict[str, Any]:
     people = [] if job.room is None else [one for one in job.room.people if one.pose is not None]
     wanted = mirrored(job)
     up = (0, 1.75 if wanted else 1.3, 0)
-    at = {one.key == job.room.viewer: one.transform @ (*one.pose.trans + up, 1) for one in people}  # type: ignore[union-attr]
+    at = {one.key == job.room.viewer: one.transform @ (*one.pose.trans + up, 1) for one in people}
     return {"red" if wanted else "green": at[wanted][:3]} if wanted in at else {}
 
 

@@ -114,8 +114,7 @@ function seenFrom(transform, one) {
 /** The same in the tangents of a flat screen. */
 function onScreen(transform, one) {
   const [x, y, z] = movePoint(invert(transform), add(one.head, [0, OVER, 0]));
-  const hang = (up) => multiply(transform, translation([x, -up * z, z]));
-  return { one, far: -z, across: -x / z, top: -y / z, hang };
+  return { one, far: -z, across: -x / z, top: -y / z, hang: (up) => multiply(transform, translation([x, -up * z, z])) };
 }
 
 /** Whether the line from an eye to a point goes through a glass (4 corners around it). */

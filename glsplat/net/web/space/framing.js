@@ -70,8 +70,7 @@ export class Framing {
     const solid = where.whole ? this.#company(where, sample, late) : [shown];
     const cut = sights.map((seen, i) => seen && joined(solid.map((one) => clip(seen, around(one, views[i].transform), 0))));
     // of a room something comes even if nobody is in sight: who comes in is heard of by a reply
-    const empty = where.whole && (always || this.furnished) && cut.every((frustum) => frustum === null);
-    const frusta = empty ? sights : cut;
+    const frusta = where.whole && (always || this.furnished) && cut.every((frustum) => frustum === null) ? sights : cut;
     if (frusta.every((frustum) => frustum === null)) return null;
     const whole = frusta.map((frustum, i) => frustum ?? straightAhead(views[i]));
     this.seen = Math.min(...whole.map((frustum, i) => shownSide(frustum, views[i])));
