@@ -24,12 +24,23 @@ CONFIG = ServerConfig(port=0, rooms={"lab": 4})
 SIZE = (1100, 700)
 TWO = (*OFFERED, AvatarInfo(name="bob", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})))
 MODULES = """import { Names } from './show/names.js'; import { Steps } from './track/steps.js';
-Object.assign(window, { Names, Steps });"""
+import { panelPlace } from './show/reach.js'; import { Framing } from './space/framing.js';
+import { Place } from './place/place.js'; import * as matrix from './space/matrix.js';
+Object.assign(window, { Names, Steps, panelPlace, Framing, Place, ...matrix });"""
+
+
+def seen(job: RenderJob) -> dict[str, Any]:
+    """Of a room: the viewer in red in the mirror, others in green before it, and lower."""
+    people = [] if job.room is None else [one for one in job.room.people if one.pose is not None]
+    wanted = mirrored(job)
+    up = (0, 1.75 if wanted else 1.3, 0)
+    at = {one.key == job.room.viewer: one.transform @ (*one.pose.trans + up, 1) for one in people}
+    return {"red" if wanted else "green": at[wanted][:3]} if wanted in at else {}
 
 
 @pytest.fixture
 def served(serve: Any) -> Any:
-    return serve(Markers(lambda request: {}), config=CONFIG, offered=TWO)
+    return serve(Markers(seen, radius=0.1), config=CONFIG, offered=TWO)
 
 
 def jobs(served: Any, viewer: int | None = None) -> list[RenderJob]:
@@ -67,10 +78,17 @@ def mirrored(job: RenderJob) -> bool:
     return float(np.linalg.det(job.cameras[0].viewmat[:3, :3])) < 0
 
 
+def on_show(page: Opened) -> tuple[bool, bool]:
+    """Whether the user is to be seen in the mirror, and others before it."""
+    picture = cv2.imdecode(np.frombuffer(page.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+    _, g, r = picture.astype(int).reshape(-1, 3).T
+    return bool((r > 100 + g).any()), bool((g > 100 + r).any())
+
+
 def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: Any) -> None:
     """In the mirror and in the own view, for both emulated eyes, whoever else is there.
 
-    With the mirror in sight, but not straight ahead, it is still the others who are drawn.
+    With the mirror beside the others both are shown, in pictures that take turns, whichever is straight ahead.
     """
     alone = enter_emulated(open_page, served, "")
     alone.meanwhile(lambda: any(map(mirrored, jobs(served))))
@@ -83,19 +101,25 @@ def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: 
     def met(mirror: bool) -> list[RenderJob]:
         # the third connection: in VR the page connects anew, with the height
         all_ = [one for one in jobs(served, 3) if one.room is not None and len(one.room.people) == 2]
-        return [one for one in all_ if len(one.cameras) == 2 and mirrored(one) == mirror]
+        return [one for one in all_ if mirrored(one) == mirror]
 
     def sharp(mirror: bool) -> bool:  # the first pictures are asked for before the others' places are known
-        return any(density(one) >= 0.98 * wanted for one in met(mirror)[-1:])
+        return any(density(one) >= 0.98 * wanted and len(one.cameras) == 2 for one in met(mirror)[-1:])
 
     page.meanwhile(lambda: sharp(mirror=False))
-    look_left(page, np.pi / 3)
-    page.wait(0.5)
-    drawn = len(met(mirror=False))
-    page.meanwhile(lambda: len(met(mirror=False)) > drawn + 2)
-    assert not met(mirror=True)
-    look_left(page, np.pi / 6)
+    assert not met(mirror=True)  # it is not in sight
+    look_left(page)
     page.meanwhile(lambda: sharp(mirror=True))
+    page.page.keyboard.press("v")  # one eye sees 57 degrees to both sides
+    look_left(page, np.radians(-40))
+    page.meanwhile(lambda: on_show(page) == (True, True))
+    other.page.focus("#canvas")
+    for _ in range(4):
+        other.page.keyboard.press("d")
+    look_left(page, np.radians(25))
+    drawn = len(met(mirror=False))
+    page.meanwhile(lambda: len(met(mirror=False)) > drawn + 5)
+    page.meanwhile(lambda: on_show(page) == (True, True))
 
 
 def test_all_guests_stand_in_one_place(open_page: OpenPage, served: Any) -> None:
@@ -121,6 +145,10 @@ def test_all_guests_stand_in_one_place(open_page: OpenPage, served: Any) -> None
     bob.meanwhile(lambda: np.abs(np.subtract(*walls())).mean() > 5)  # a page shows its place some time after it asked
 
 
+SLOW = """() => { const { postMessage } = Worker.prototype; Worker.prototype.postMessage = function (message, ...rest) {
+  setTimeout(() => postMessage.call(this, message, ...rest), 'skip' in message ? 500 : 0); }; }"""
+
+
 def test_a_mirror_hangs_ahead_until_others_come(open_page: OpenPage, served: Any) -> None:
     page = enter_emulated(open_page, served, "?room=lab&name=Ann")
 
@@ -128,9 +156,13 @@ def test_a_mirror_hangs_ahead_until_others_come(open_page: OpenPage, served: Any
         return mirrored(jobs(served, 2)[-1])  # the second connection: in VR the page connects anew
 
     page.meanwhile(lambda: jobs(served, 2) and looks_at_herself())
+    page.meanwhile(lambda: on_show(page) == (True, False))
+    page.js(SLOW)  # one of these pictures is being decoded when others come
     other = visit(open_page, served, address=f"{served.page}?room=lab&name=Bob")
     other.until("window.glsplat.stats().shown > 0")
     page.meanwhile(lambda: not looks_at_herself())
+    page.meanwhile(lambda: on_show(page)[1])
+    assert on_show(page) == (False, True)
 
 
 def test_vr_without_a_headset_faces_the_middle_with_arms_down(open_page: OpenPage, served: Any) -> None:
@@ -215,6 +247,9 @@ def test_an_address_brings_people_together_who_see_whom_they_meet(open_page: Ope
     assert ahead[0] @ ahead[1] == pytest.approx(-1)  # face to face
     second.page.click("#invite")
     second.until("document.querySelector('#code-address').textContent.endsWith('/vr?room=lab')")
+    words = second.page.inner_text("#code-words")
+    assert "only on this computer" in words and "--host" in words
+    assert not second.js("document.querySelector('#code img')")
 
 
 ELSEWHERE = "document.querySelector('#status')?.textContent === 'You are in this room in another tab.'"
@@ -253,13 +288,13 @@ def test_a_second_tab_says_so_and_takes_over(open_page: OpenPage, served: Any) -
     assert first.stats()["state"] == "off"
 
 
-NAMES = """(people, where = {}, height = 512) => {
+NAMES = """(people, glass = null, flat = false, height = 512) => {
   const painter = { texture: () => ({}), fill() {} };
   const projection = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
   const eye = { transform: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 1.6, 0, 1], projection, viewport: { height } };
   const label = (name) => `driven by ${name}, synthetic`;
-  const all = people.map(([name, x, z], key) => ({ key, name, label: label(name), head: [x, 1.5, z] }));
-  return new window.Names().labels(all, where, eye, painter)
+  const all = people.map(([name, x, z], key) => ({ key, name, label: label(name), head: [x, 1.5, z], glass }));
+  return new window.Names().labels(all, eye, painter, flat)
     .map(({ transform: m, width, height: high }) => [m[12], m[13] - 1.6, m[14], width, high]);
 }"""
 
@@ -278,8 +313,91 @@ def test_names_keep_their_size_and_cover_nobody(chromium: Any) -> None:
         assert upper[0] >= lower[1] > lower[0] >= (1.5 + 0.2 - 1.6) / 1.5
         # in a mirror once, and only through its glass
         glass = [[-0.5, 0, -1], [0.5, 0, -1], [0.5, 2, -1], [-0.5, 2, -1]]
-        seen = page.evaluate(f"({NAMES})([['Ann', 0, -3], ['Bob', 3, -3], ['Eve', 0, -0.5]], {{ glass: {glass} }})")
+        seen = page.evaluate(f"({NAMES})([['Ann', 0, -3], ['Bob', 3, -3], ['Eve', 0, -0.5]], {glass})")
         assert len(seen) == 1 and seen[0][2] == -3
+        # on a screen of one height and over the head, also at the side of a wide picture
+        flat = page.evaluate(f"({NAMES})([['Ann', 0, -1.5], ['Bob', 3, -2]], null, true)")
+        assert [(x, z) for x, _, z, _, _ in flat] == [pytest.approx((0, -1.5)), pytest.approx((3, -2))]
+        for _, up, z, _, high in flat:
+            assert high / -z == pytest.approx(tall[0]) and up - high / 2 == pytest.approx(-0.1 + 0.24)
+
+
+PANEL = """(others) => {
+  const sample = { left: [0.2, 1.4, -0.5, 0, 0, 0, 1] };
+  const heads = others.map(([x, z]) => [x, 1.5, z]);
+  const { transform: m, width } = window.panelPlace({}, window.translation([0, 1.6, 0]), sample, heads);
+  return [-1, 1].map((side) => Math.atan2(m[12] + (side * m[0] * width) / 2, -m[14] - (side * m[2] * width) / 2));
+}"""
+
+
+def test_the_panel_at_the_hand_covers_nobody(chromium: Any) -> None:
+    """It moves aside to the left, not out of sight. Level angles of its edges, radians to the right of -z."""
+    with flat_page(chromium, MODULES) as page:
+        low, high = page.evaluate(PANEL, [])
+        assert low < 0 < high
+        assert page.evaluate(PANEL, [(0, 2.4), (1.2, -1.2)]) == pytest.approx([low, high])
+        for others in ([(0, -2.4)], [(0, -2.4), (1.2, -1.2)], [(0, -2.4), (-1.2, -1.2), (1.2, -1.2)]):
+            low, high = page.evaluate(PANEL, others)
+            assert -1 < low < high < -np.arctan2(0.3, 2.4)
+        crowd = [(2 * np.sin(a), -2 * np.cos(a)) for a in np.linspace(-1.5, 0.5, 8)]
+        assert -1 < np.mean(page.evaluate(PANEL, crowd)) < 0
+
+
+ASKED = """([pitch, left]) => {
+  const framing = new window.Framing();
+  framing.learn(null, { head: null }, [{ at: [0, 0, 0], you: true }, { at: [0, 0, -2.4], you: false }]);
+  const head = [0, 1.6, 0, Math.sin(pitch / 2), 0, 0, Math.cos(pitch / 2)];
+  const view = { transform: window.fromPose(head), projection: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1, -1, 0, 0, -0.1, 0] };
+  const where = { view: 'own', shown: window.IDENTITY, whole: true };
+  const { frustum: f } = framing.frame([view], where, { head, left }, 512, 0.05, 1000).cameras[0];
+  return [f.left, f.right, f.down, f.up];
+}"""
+
+
+def test_pixels_go_to_what_the_eye_sees_of_people(chromium: Any) -> None:
+    """Not to one's own body while it is out of sight; all of it is drawn for who looks down or raises a hand."""
+    hangs, raised = [-0.23, 0.97, 0, 0, 0, 0, 1], [-0.2, 1.4, -0.4, 0, 0, 0, 1]
+    with flat_page(chromium, MODULES) as page:  # its eye sees 45 degrees to all sides: tangents
+        left, right, down, up = page.evaluate(ASKED, [0, hangs])
+        assert 0.4 < right == -left < 0.7 and 0.2 < up < 0.5 and down < -0.8
+        for pitch, hand in ((0, raised), (-1.0, hangs)):
+            left, right, down, up = page.evaluate(ASKED, [pitch, hand])
+            assert left < -1 and right > 1 and down < -1 and up > -0.1
+
+
+MIRROR = """() => {
+  const { Place, invert, multiply, translation, turnY } = window;
+  const gl = new OffscreenCanvas(128, 128).getContext('webgl2', { antialias: false });
+  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  const place = new Place(gl);
+  place.choose('day');
+  const projection = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, -1.002, -1, 0, 0, -0.1, 0];
+  const pixels = (side, draw) => {
+    const transform = multiply(translation([1 + 1.5 * side, 1.6, 0]), turnY((side * Math.PI) / 2));
+    gl.clearColor(0, 0, 1, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    draw({ transform, projection }, new Float32Array(multiply(projection, invert(transform))));
+    const out = new Uint8Array(4 * 128 * 128);
+    gl.readPixels(0, 0, 128, 128, gl.RGBA, gl.UNSIGNED_BYTE, out);
+    return [...out];
+  };
+  const glass = [[1, 1, -1], [1, 1, 1], [1, 2.2, 1], [1, 2.2, -1]]; // towards the windows of the wall at -x
+  return [
+    pixels(-1, (eye, clip) => place.mirror(eye, clip, { glass, normal: [-1, 0, 0] }, [], false)),
+    pixels(1, (eye, clip) => place.room(eye, clip)),
+  ];
+}"""
+
+
+def test_a_mirror_shows_the_room_as_it_is(chromium: Any) -> None:
+    """Its windows, too, as an eye behind the glass sees them that looks the other way; and nothing beside the glass."""
+    with flat_page(chromium, MODULES) as page:
+        mirror, straight = np.array(page.evaluate(MIRROR), float).reshape(2, 128, 128, 4)[..., :3]
+    inside = np.s_[46:84, 24:104]  # of the glass, rows from below
+    straight = straight[:, ::-1][inside]
+    assert straight.std() > 20  # windows in a wall
+    np.testing.assert_allclose(mirror[inside], 0.76 * straight + [0, 4, 4], atol=3)
+    assert (mirror[100:] == [0, 0, 255]).all()
 
 
 def test_nobody_steps_into_another(chromium: Any) -> None:

@@ -105,7 +105,8 @@ const name = location.hash.slice(1);
 const connection = new Connection(() => ({ room: 'lab', name }));
 const stage = { info: {}, renderedBy: { by: 'server' }, onFrame() {}, late: () => 120 };
 const voice = addVoice(document.getElementById('controls'), stage);
-const { talk, offered } = addTalk(document.getElementById('voice'), { connection, voice, stage, relay: false });
+const places = ['invite', 'controls'].map((id) => document.getElementById(id));
+const { talk, offered } = addTalk(...places, { connection, voice, stage, relay: false });
 const eyes = [{ viewmat: [1, 0, 0, 0, 0, -1, 0, 1.5, 0, 0, -1, 0, 0, 0, 0, 1], K: [9, 9, 8, 8] }];
 connection.addEventListener('reply', ({ detail }) => (stage.info = detail.reply.info));
 setInterval(() => {
@@ -186,6 +187,7 @@ def silent(page: Opened) -> None:
 
 def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Served, backend: Markers) -> None:
     ann, bob = member("Ann"), member("Bob", talks=False, whole=True)
+    assert bob.js("document.querySelector('.tools button:not([hidden])').id") == "talk-join"
     words = bob.js("document.querySelector('#talk-ask').textContent")
     assert "IP address" in words and "recorded" in words
     click(bob, "talk-join", "talk-no")
@@ -230,7 +232,7 @@ def test_three_pages_join_and_leave(member: Any, lab: Served) -> None:
         page.meanwhile(lambda page=page, others=others: names(page) == others, PATIENCE_S)
     assert lab.stats()["talk"]["people"] == 2
     click(cy, "talk-join", "talk-no")  # the answer of before does not count
-    assert cy.js("document.querySelector('#talk-join').textContent") == "Talk with this room"
+    assert cy.js("document.querySelector('#talk-join').ariaPressed") == "false"
 
 
 def test_who_is_back_talks_again_and_pushes_to_talk(member: Any, lab: Served) -> None:
@@ -255,9 +257,9 @@ def test_who_is_back_talks_again_and_pushes_to_talk(member: Any, lab: Served) ->
     silent(bob)
     bob.js("entered('hall')")  # agreed to was the lab
     ann.meanwhile(lambda: people(ann) == [], PATIENCE_S)
-    assert bob.js("document.querySelector('#talk-join').textContent") == "Talk with this room"
+    assert bob.js("document.querySelector('#talk-join').ariaPressed") == "false"
     bob.js("entered('')")
-    assert bob.js("document.querySelector('#talk').hidden")
+    assert bob.js("document.querySelector('#talk').hidden && document.querySelector('#talk-join').hidden")
 
 
 def test_who_has_no_microphone_hears_the_others(member: Any, chromium: Any) -> None:

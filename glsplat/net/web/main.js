@@ -109,7 +109,7 @@ const addVoice = once(async () => {
 const addTalk = once(async () => {
   await addVoice(); // has the microphone
   const { addTalk: add } = await import('./talk/panel.js');
-  talk = add(document.getElementById('voice'), { connection, voice, stage, ...offer.talk });
+  talk = add(document.getElementById('invite'), document.getElementById('controls'), { connection, voice, stage, ...offer.talk });
   talk.talk.addEventListener('speaking', ({ detail }) => stage.names.speaking(detail.name, detail.speaking));
   talk.offered(settings.get('room'));
 });

@@ -1,8 +1,8 @@
 // Draws a place: room, sky, the shadows of who stands in it, a mirror with its frame. Knows neither avatars nor sessions.
 
-import { multiply, place as placeOf } from '../space/matrix.js';
+import { dot, multiply, reflection } from '../space/matrix.js';
 import { Backdrop } from './backdrop.js';
-import { ATLAS, FACES, GRAIN, bake, baking, grain, shown } from './bake.js';
+import { ATLAS, GRAIN, bake, baking, grain, shown } from './bake.js';
 import { LOOKS } from './looks.js';
 import { flatMesh, floorMesh, mirrorMesh, roomMesh, starMesh } from './mesh.js';
 import { build } from './program.js';
@@ -11,6 +11,8 @@ import { GLASS, ROOM, SHADOW, SKY } from './shaders.js';
 const MOST_BLOBS = 16;
 const STRIDE = 36; // bytes a vertex
 const IN_PASSTHROUGH = 0.62; // how dark shadows are on a floor that is not ours
+const TINT = [0, 0.015, 0.015, 0.24]; // of a mirror's glass, which makes what it shows darker
+const TINT_IN_PASSTHROUGH = [0.03, 0.036, 0.039, 0.3];
 const TURN = [8, 100]; // ms in a row that baking takes of a page that shows pictures, at least and at most
 const SOURCES = { sky: SKY, room: ROOM, shadow: SHADOW, glass: GLASS };
 
@@ -75,12 +77,13 @@ export class Place {
     this.#backdrop.draw(still, viewport, key, () => this.#paintRoom(eye, clip));
   }
 
-  #paintRoom({ transform, projection }, clip) {
+  /** `mirror`: {glass, normal, blobs} if this is the room in it. */
+  #paintRoom({ transform, projection }, clip, mirror = null) {
     const gl = this.#gl;
     gl.disable(gl.BLEND);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
-    this.#solid(clip, this.#room);
+    this.#solid(clip, this.#room, mirror);
     if (this.#stars.vertices) this.#draw(this.#stars, gl.POINTS);
     const at = this.#begin('sky');
     const turn = [...transform.slice(0, 12), 0, 0, 0, 1];
@@ -101,22 +104,24 @@ export class Place {
     this.#draw(this.#passing);
   }
 
-  /** A mirror with its frame; `blobs` are on the floor that it reflects. */
-  mirror({ transform }, clip, { glass, normal }, blobs, passthrough) {
+  /** A mirror with its frame; `blobs` are on the floor that it reflects. In passthrough it shows no room. */
+  mirror({ transform, projection }, clip, { glass, normal }, blobs, passthrough) {
     const gl = this.#gl;
-    const at = this.#begin('glass');
-    gl.uniform3fv(at.eye, placeOf(transform));
-    gl.uniform3fv(at.normal, normal);
-    gl.uniform3fv(at.half_room, this.#look.half);
-    gl.uniform1i(at.walls, this.#look.walls ? 1 : 0);
-    gl.uniform1i(at.passthrough, passthrough ? 1 : 0);
-    gl.uniform4fv(at['rects[0]'], [...FACES.walls, FACES.floor, FACES.ceiling].flatMap(([x, y, w, h]) => [x / ATLAS.width, y / ATLAS.height, w / ATLAS.width, h / ATLAS.height]));
-    this.#sky(at);
-    this.#faces(at);
-    this.#blobs(at, blobs, this.#look.shadow);
-    gl.uniformMatrix4fv(at.clip_from_room, false, clip);
-    this.#fill(this.#passing, flatMesh(glass, normal));
-    this.#draw(this.#passing);
+    const pane = flatMesh(glass, normal);
+    if (!passthrough) {
+      // its room is as far as can be, all else of the view as near: so nothing is painted beside the glass
+      gl.clearDepth(0);
+      gl.clear(gl.DEPTH_BUFFER_BIT);
+      gl.clearDepth(1);
+      gl.enable(gl.DEPTH_TEST);
+      gl.depthFunc(gl.ALWAYS);
+      gl.depthRange(1, 1);
+      this.#flat(clip, pane, TINT);
+      gl.depthRange(0, 1);
+      const turn = reflection(glass[0], normal);
+      this.#paintRoom({ transform: multiply(turn, transform), projection }, new Float32Array(multiply([...clip], turn)), { glass, normal, blobs });
+    }
+    this.#flat(clip, pane, passthrough ? TINT_IN_PASSTHROUGH : TINT);
     const lit = this.#look.ambient.map((value, k) => Math.min(1, value / LOOKS.day.ambient[k]));
     this.#fill(this.#passing, mirrorMesh(glass, normal, lit));
     gl.enable(gl.DEPTH_TEST);
@@ -155,15 +160,28 @@ export class Place {
     gl.bindTexture(gl.TEXTURE_2D, this.#textures.faces);
   }
 
-  /** Triangles that hide each other, those that face away left out. */
-  #solid(clip, mesh) {
+  /** Triangles that hide each other, those that face away left out; of the room in a `mirror` those behind it as well. */
+  #solid(clip, mesh, mirror = null) {
     const gl = this.#gl;
     const at = this.#begin('room');
     this.#faces(at);
+    this.#blobs(at, mirror?.blobs ?? [], this.#look.shadow);
+    gl.uniform4fv(at.before, mirror ? [...mirror.normal, -dot(mirror.normal, mirror.glass[0])] : [0, 0, 0, 0]);
     gl.uniformMatrix4fv(at.clip_from_room, false, clip);
     gl.enable(gl.CULL_FACE);
+    gl.frontFace(mirror ? gl.CW : gl.CCW);
     this.#draw(mesh);
+    gl.frontFace(gl.CCW);
     gl.disable(gl.CULL_FACE);
+  }
+
+  /** Triangles `floats` in one premultiplied colour. */
+  #flat(clip, floats, paint) {
+    const at = this.#begin('glass');
+    this.#gl.uniformMatrix4fv(at.clip_from_room, false, clip);
+    this.#gl.uniform4fv(at.paint, paint);
+    this.#fill(this.#passing, floats);
+    this.#draw(this.#passing);
   }
 
   #draw({ array, vertices }, mode = this.#gl.TRIANGLES) {

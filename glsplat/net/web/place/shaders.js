@@ -67,15 +67,17 @@ void main() {
   gl_PointSize = texel.x;
 }`;
 
-/** Floor, walls, ceiling, and what has its own colour. */
+/** Floor, walls, ceiling, and what has its own colour; in a mirror the floor with its shadows. */
 export const ROOM = {
   vertex: VERTEX,
-  fragment: `${HEAD}${FLOOR}
+  fragment: `${HEAD}${SHADE}${FLOOR}
+uniform vec4 before;       // a plane behind which nothing is painted
 in vec3 point, at, own;
 out vec4 result;
 void main() {
+  if (dot(before, vec4(point, 1.0)) < 0.0) discard;
   vec3 c = own;
-  if (own.x < 0.0) c = at.z > 0.5 ? floor_at(point.xz, at.xy) : texture(faces, at.xy).rgb;
+  if (own.x < 0.0) c = at.z > 0.5 ? floor_at(point.xz, at.xy) * shade(point.xz) : texture(faces, at.xy).rgb;
   result = vec4(c, 1.0);
 }`,
 };
@@ -89,38 +91,10 @@ out vec4 result;
 void main() { result = vec4(0.0, 0.0, 0.0, 1.0 - shade(point.xz)); }`,
 };
 
-/** What a mirror shows of the room, darker than it is; a tint alone in passthrough. `normal`: where it looks. */
+/** A mirror's glass over what it shows. */
 export const GLASS = {
   vertex: VERTEX,
-  fragment: `${HEAD}${SKY_OF}${SHADE}${FLOOR}
-uniform vec3 eye, normal, half_room;
-uniform bool walls, passthrough;
-uniform vec4 rects[6];     // of the faces -x, +x, -z, +z, floor, ceiling: place and size in the texture
-in vec3 point, at, own;
+  fragment: `${HEAD}uniform vec4 paint; // premultiplied
 out vec4 result;
-vec2 inside(vec4 rect, vec2 uv) { return rect.xy + clamp(uv, 0.01, 0.99) * rect.zw; }
-vec3 seen(vec3 d) {
-  vec2 wide = 2.0 * half_room.xz;
-  if (d.y < 0.0) {
-    vec3 p = point - point.y / d.y * d;
-    if (!walls || all(lessThan(abs(p.xz), half_room.xz))) return floor_at(p.xz, inside(rects[4], p.xz / wide + 0.5)) * shade(p.xz);
-  } else if (!walls) {
-    return sky(d);
-  }
-  vec2 to = (sign(d.xz) * half_room.xz - point.xz) / d.xz;
-  bool side = to.x < to.y;
-  vec3 p = point + (side ? to.x : to.y) * d;
-  if (p.y > half_room.y) {
-    p = point + (half_room.y - point.y) / d.y * d;
-    return texture(faces, inside(rects[5], p.xz / wide + 0.5)).rgb;
-  }
-  int which = side ? (d.x < 0.0 ? 0 : 1) : (d.z < 0.0 ? 2 : 3);
-  float along = side ? p.z / wide.y : p.x / wide.x;
-  return texture(faces, inside(rects[which], vec2(along + 0.5, p.y / half_room.y))).rgb;
-}
-void main() {
-  vec3 c = passthrough ? vec3(0.1, 0.12, 0.13) : seen(reflect(normalize(point - eye), normal)) * vec3(0.74, 0.78, 0.78) + 0.015;
-  float alpha = passthrough ? 0.3 : 1.0;
-  result = vec4(c * alpha, alpha);
-}`,
+void main() { result = paint; }`,
 };

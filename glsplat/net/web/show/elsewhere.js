@@ -38,7 +38,7 @@ function reached(found, room) {
 
 function invited({ page, local, svg }) {
   const words = local
-    ? 'Anyone who opens this address on this computer meets you in the room. To let others on your network in, start the server with --host 0.0.0.0 --self-signed.'
+    ? 'This address works only on this computer: for guests on other devices, serve with --host 0.0.0.0 --self-signed.'
     : 'Anyone who opens or scans this address meets you in the room.';
   return { words, svg, address: page };
 }

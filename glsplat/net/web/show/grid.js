@@ -46,9 +46,4 @@ export class Grid {
     gl.drawElements(gl.TRIANGLES, 6 * (this.size[0] - 1) * (this.size[1] - 1), gl.UNSIGNED_SHORT, 0);
     gl.bindVertexArray(null);
   }
-
-  release() {
-    this.#gl.deleteVertexArray(this.#array);
-    for (const buffer of [this.#points, this.#corners]) this.#gl.deleteBuffer(buffer);
-  }
 }

@@ -1,6 +1,6 @@
 // Names over the heads of a room's people, as one eye sees them: of one apparent size, over nobody's head or body.
 
-import { add, cross, dot, movePoint, place, scale, subtract, unit } from '../space/matrix.js';
+import { add, cross, dot, invert, movePoint, multiply, place, scale, subtract, translation, unit } from '../space/matrix.js';
 import { Board } from './panel.js';
 
 const FARTHEST = 10; // metres; names of people beyond it are hidden
@@ -15,11 +15,9 @@ export class Names {
   #spare = [];
   #speaking = new Set();
 
-  /** Mark the person of that name as speaking, or not. Returns whether that is new. */
+  /** Mark the person of that name as speaking, or not. */
   speaking(name, on) {
-    const before = this.#speaking.size;
     this.#speaking[on ? 'add' : 'delete'](name);
-    return this.#speaking.size !== before;
   }
 
   /** Return whether the person of that name speaks. */
@@ -28,14 +26,16 @@ export class Names {
   }
 
   /**
-   * Return labels for the painter of `people` [{key, name, label, you, head (joint, in the room as `where` shows it)}], but of the user, for an
-   * eye {transform, projection, viewport}. In a mirror only those that are seen through its glass.
+   * Return labels for the painter of `people` [{key, name, label, you, head (joint, as shown), glass}], but of the user, for an
+   * eye {transform, projection, viewport}. In a mirror only those that are seen through its `glass`. On a `flat` screen they
+   * are parallel to it, as it has no lens that undoes how a wide picture stretches its sides.
    */
-  labels(people, where, eye, painter) {
+  labels(people, eye, painter, flat) {
     const from = place(eye.transform);
     const tall = Math.max(SMALLEST, (2 * PIXELS) / (eye.viewport.height * eye.projection[5]));
-    const seen = people.map((one) => seenFrom(from, one)).filter(({ far }) => far > 0.3 && far < FARTHEST);
-    const named = seen.filter(({ one }) => !one.you && (!where.glass || through(where.glass, from, one.head)));
+    const shown = people.filter(({ glass, head }) => !glass || through(glass, from, head));
+    const seen = shown.map((one) => (flat ? onScreen : seenFrom)(eye.transform, one)).filter(({ far }) => far > 0.3 && far < FARTHEST);
+    const named = seen.filter(({ one }) => !one.you);
     const keys = new Set(named.map(({ one }) => one.key));
     for (const [key, board] of this.#boards) {
       if (keys.has(key)) continue;
@@ -48,9 +48,9 @@ export class Names {
       board.write(each.one.name, remark(each.one.label), this.speaks(each.one.name));
       [each.wide, each.high] = [(tall * board.wide) / CANVAS.height, tall];
     }
-    return apart(named, seen).map(({ one, at, far, up }) => {
+    return apart(named, seen).map(({ one, far, up, hang }) => {
       const board = this.#boards.get(one.key);
-      board.transform = facing([at[0], from[1] + up * far, at[2]], from);
+      board.transform = hang(up);
       return board.shown(painter, tall * far);
     });
   }
@@ -102,11 +102,19 @@ class Name extends Board {
 /** Return what a label says besides the driver's name, which has no comma. */
 const remark = (label) => label.slice(label.indexOf(',') + 1).trim();
 
-/** Where a person is from an eye: level angle and distance, and the tangents of the upper edge of the head and of the floor. */
-function seenFrom(from, one) {
+/** Where a person is from an eye: level angle and distance, the tangent of the upper edge of the head, and the pose of a name over it. */
+function seenFrom(transform, one) {
+  const from = place(transform);
   const [x, y, z] = subtract(one.head, from);
   const far = Math.hypot(x, z);
-  return { one, at: one.head, far, across: Math.atan2(x, -z), top: (y + OVER) / far };
+  const hang = (up) => facing([one.head[0], from[1] + up * far, one.head[2]], from);
+  return { one, far, across: Math.atan2(x, -z), top: (y + OVER) / far, hang };
+}
+
+/** The same in the tangents of a flat screen. */
+function onScreen(transform, one) {
+  const [x, y, z] = movePoint(invert(transform), add(one.head, [0, OVER, 0]));
+  return { one, far: -z, across: -x / z, top: -y / z, hang: (up) => multiply(transform, translation([x, -up * z, z])) };
 }
 
 /** Whether the line from an eye to a point goes through a glass (4 corners around it). */
@@ -149,5 +157,5 @@ const turned = (a, b) => Math.abs(((a - b + 3 * Math.PI) % (2 * Math.PI)) - Math
 export function headsOf(room, where) {
   return (room?.people ?? [])
     .filter(({ head, opacity }) => opacity > 0 && Array.isArray(head) && head.length === 3 && head.every(Number.isFinite))
-    .map(({ name, label, you, head }) => ({ key: name, name, label: label ?? '', you, head: movePoint(where.shown, head) }));
+    .map(({ name, label, you, head }) => ({ key: `${name}${where.glass ? '/' : ''}`, name, label: label ?? '', you, head: movePoint(where.shown, head), glass: where.glass }));
 }

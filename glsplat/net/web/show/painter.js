@@ -1,4 +1,4 @@
-// Everything the page draws with WebGL2: a place, the newest pair, a mirror's frame, labels. Knows no sessions.
+// Everything the page draws with WebGL2: a place, the newest pairs, a mirror's frame, labels. Knows no sessions.
 
 import { Place } from '../place/place.js';
 import { shown } from '../place/bake.js';
@@ -17,8 +17,8 @@ export class Painter {
   place; // what stands around; one that is not chosen is a grid in the dark
   #gl;
   #programs;
-  #pair = []; // by eye: {colour, alpha, box, hasAlpha, grid}
-  #asked = null; // what Framing.frame returned for the pair
+  #pairs = [0, 1].map(() => ({ asked: null, eyes: [] })); // in a mirror, and before it; `asked`: what Framing.frame returned for
+  // it, with `info` of the reply; by eye: {colour, alpha, box, hasAlpha, grid}
   #mesh;
   #floor;
   #floorVertices;
@@ -34,18 +34,13 @@ export class Painter {
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(lines), gl.STATIC_DRAW);
   }
 
-  /** True once there is a pair to show. */
-  get hasPair() {
-    return this.#asked !== null;
-  }
-
-  /** The eyes that the pair was asked for: its {cameras, plane, where}, or null. */
+  /** What the pairs were asked for with, {cameras, plane, where}, and `info` of their replies: of a mirror, and of what is not in one. */
   get shownAs() {
-    return this.#asked;
+    return this.#pairs.map(({ asked }) => asked).filter(Boolean);
   }
 
   forget() {
-    this.#asked = null;
+    for (const pair of this.#pairs) pair.asked = null;
   }
 
   /**
@@ -54,8 +49,9 @@ export class Painter {
    */
   upload({ pictures, info, asked, depth }) {
     const [width, height] = info.size;
+    const pair = this.#pairs[asked.where.mirror ? 0 : 1];
     pictures.forEach(([colour, alpha], i) => {
-      const eye = (this.#pair[i] ??= { colour: this.texture(), alpha: this.texture(), grid: new Grid(this.#gl) });
+      const eye = (pair.eyes[i] ??= { colour: this.texture(), alpha: this.texture(), grid: new Grid(this.#gl) });
       this.fill(eye.colour, colour);
       if (alpha) this.fill(eye.alpha, alpha);
       eye.hasAlpha = alpha !== null;
@@ -63,7 +59,7 @@ export class Painter {
       eye.grid.fill(depth?.[i] ?? planeGrid(asked.cameras[i], asked.plane));
       eye.box = [x / width, y / height, w / width, h / height];
     });
-    this.#asked = asked;
+    pair.asked = { ...asked, info };
   }
 
   texture() {
@@ -120,8 +116,7 @@ export class Painter {
       if (room) this.#drawFloor(clip, transform);
       if (mirror) this.#drawMirror(clip, mirror.glass);
     }
-    if (mirror && !placed) this.#drawFlat(clip, [3, 2, 0, 1].map((i) => mirror.glass[i]), COLOURS.glass);
-    if (this.#asked && picture) this.#drawPicture(clip, transform, index);
+    for (const pair of this.#pairs) if (pair.asked && picture) this.#drawPicture(pair, clip, transform, index);
     for (const label of labels) this.#drawLabel(clip, label);
   }
 
@@ -132,23 +127,10 @@ export class Painter {
     for (const label of labels) this.#drawLabel(clip, label);
   }
 
-  /** How many bytes of GPU memory the pair takes is not known to WebGL; give all of it back. */
-  release() {
-    for (const { colour, alpha, grid } of this.#pair) {
-      grid.release();
-      this.#gl.deleteTexture(colour);
-      this.#gl.deleteTexture(alpha);
-      this.textures -= 2;
-    }
-    this.#pair = [];
-    this.#asked = null;
-  }
-
-  #drawPicture(clip, transform, index) {
+  #drawPicture({ asked: { cameras, where }, eyes }, clip, transform, index) {
     const gl = this.#gl;
-    const { cameras, where } = this.#asked;
     const shown = Math.min(index, cameras.length - 1);
-    const [eye, camera] = [this.#pair[shown], cameras[shown]];
+    const [eye, camera] = [eyes[shown], cameras[shown]];
     const { use, at } = this.#programs.picture;
     use();
     gl.uniformMatrix4fv(at.clip_from_camera, false, new Float32Array(multiply(clip, camera.transform)));
@@ -188,6 +170,7 @@ export class Painter {
     const grown = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b], i) => add(glass[i], add(scale(u, a), scale(v, b))));
     // around the glass, not behind it: what is covered is not drawn twice
     this.#drawFlat(clip, [0, 1, 2, 3, 0].flatMap((i) => [grown[i], glass[i]]), COLOURS.frame);
+    this.#drawFlat(clip, [3, 2, 0, 1].map((i) => glass[i]), COLOURS.glass);
   }
 
   /** A triangle strip in one colour. */

@@ -17,6 +17,7 @@ const PATIENCE = 10_000; // ms that the parts of extras wait for the first pictu
 const BY_SERVER = { by: 'server', reason: 'the server does not hand out the splats of this avatar' };
 const SURPLUS = 3; // requests for each picture: the server draws the newest, and each costs both sides
 const SLOWEST = 100; // ms between them while something moves, at most
+const SHARE = 3; // pictures of which one shows what is beside the user's line of sight
 const COMPLAINT = 4000; // ms for which an error of the server is shown
 
 export class Stage {
@@ -25,7 +26,7 @@ export class Stage {
   onFrame = () => {}; // called with the views of each frame
   onPicture = () => {}; // called when a picture can be shown
   info = {}; // the JSON of the newest reply
-  #shown = {}; // that of the pair on the display
+  #shown = {}; // that of the newest pair on the display
   canHide = false; // whether the avatar's head can be hidden
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
@@ -39,6 +40,7 @@ export class Stage {
   #asked = 0; // ms, when the pair on the screen was requested
   #seen = true; // whether that pair has been drawn
   #opened = performance.now();
+  #pictures = 0; // that came in
   #scene = 0; // number of calls of `clear`: pictures requested before show another place
   #painted = []; // inputs of the picture on the canvas
   #ask = () => 0; // request of the last frame
@@ -94,19 +96,19 @@ export class Stage {
   }
 
   /**
-   * Draw a frame for `views` [{transform, projection, viewport}] of `where` (a placing), and request the next picture.
-   * `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
+   * Draw a frame for `views` [{transform, projection, viewport}] of `where` (a placing), and request the next picture,
+   * every third of `also`, a placing or null, if somebody is in sight there. `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
    * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
    * room that is not ours, or null; `asks` false: request nothing; `deep`: request depths with pictures.
    * Returns the frame_id of the request, or 0.
    */
-  frame(views, where, drive, { framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
+  frame(views, where, drive, { also = null, framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
     this.onFrame(views);
     const light = this.#falling(where, around);
     const first = !this.shownId && performance.now() - this.#opened < FIRST;
     const here = !first && this.here?.draws(views, where, this.figures.rate('shown', now), now);
     this.#ask = (drive, now) =>
-      here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { alpha, light, deep, now });
+      here ? this.#askPoses(views, where, drive, now) : this.ask(views, where, drive, { also, alpha, light, deep, now });
     const sent = asks ? this.#ask(drive, now) : 0;
     this.advance(now);
     const look = this.settings.get('place');
@@ -117,12 +119,12 @@ export class Stage {
     const hung = labels();
     this.painter.begin(framebuffer, transparent, bare ? LOOKS[look] : null);
     if (bare && !here) {
-      const names = this.#named(views[0]);
+      const names = this.#named(views[0], framebuffer);
       views.forEach((view, i) => this.painter.view(view, i, { room: false, labels: [...names, ...hung] }));
       this.drawn();
       return sent;
     }
-    const how = { room, seat: this.seat, keeps: framebuffer === null, mirror: where.hung ?? (where.glass ? where : null), look, blobs: this.#shadows(here, where, drive, now) };
+    const how = { room, seat: this.seat, keeps: framebuffer === null, mirror: [where, also].find((one) => one?.glass), look, blobs: this.#shadows(here, where, drive, now) };
     if (own) {
       // the pair stays, for a change back to pictures
       views.forEach((view, i) => this.painter.view(view, i, { ...how, picture: false }));
@@ -130,10 +132,10 @@ export class Stage {
       this.here.face.now = saidBy(drive);
       const age = this.here.draw(views, framebuffer, where, { inside, light, servers: this.light, now });
       if (age !== null) this.figures.show(now - age, performance.now());
-      const names = this.names.labels(this.here.heads(where), where, views[0], this.painter);
+      const names = this.names.labels(this.here.heads(where), views[0], this.painter, framebuffer === null);
       views.forEach((view) => this.painter.labels(view, [...names, ...hung]));
     } else {
-      const names = this.#named(views[0]);
+      const names = this.#named(views[0], framebuffer);
       views.forEach((view, i) => this.painter.view(view, i, { ...how, labels: [...names, ...hung] }));
       this.drawn();
     }
@@ -184,10 +186,10 @@ export class Stage {
     return x === undefined ? null : [x - 0.2, y - 1.5, z - 0.2, x + 0.2, y + 0.17, z + 0.2];
   }
 
-  /** Return the names over the heads in the pair on the display, for an eye. */
-  #named(eye) {
-    const where = this.painter.shownAs?.where;
-    return where ? this.names.labels(headsOf(this.#shown.room, where), where, eye, this.painter) : [];
+  /** Return the names over the heads in the pairs on the display, for an eye. */
+  #named(eye, framebuffer) {
+    const heads = this.painter.shownAs.flatMap(({ info, where }) => headsOf(info.room, where));
+    return this.names.labels(heads, eye, this.painter, framebuffer === null);
   }
 
   /** Repeat the last frame's request with another `drive`, before the next frame. Returns the frame_id, or 0. */
@@ -201,7 +203,7 @@ export class Stage {
    */
   #shows(views, room, bare) {
     const eyes = views.flatMap(({ transform, projection, viewport }) => [...transform, ...projection, ...Object.values(viewport)]);
-    const wanted = [this.painter, this.painter.shownAs, this.settings.get('place'), room, bare, ...this.seat, ...eyes];
+    const wanted = [this.painter, ...this.painter.shownAs, this.settings.get('place'), room, bare, ...this.seat, ...eyes];
     const same = wanted.length === this.#painted.length && wanted.every((value, i) => value === this.#painted[i]);
     this.#painted = wanted;
     return same;
@@ -222,7 +224,7 @@ export class Stage {
     if (this.settings.get('place') === 'plain') return [];
     const shown = where.glass ? this.seat : multiply(this.seat, where.shown); // a mirror shows the floor under its user
     if (here && this.here.people.size) return this.here.shadows(shown, now);
-    const { box, feet, room } = this.painter.hasPair ? this.#shown : {};
+    const { box, feet, room } = this.painter.shownAs.length ? this.#shown : {};
     if (room) return fromPlaces(standing(room), shown);
     if (feet) return fromFeet(feet, shown);
     const trans = pose?.trans;
@@ -258,24 +260,27 @@ export class Stage {
 
   /**
    * Request a picture for `views` [{transform, projection}]. `drive`: {tracking, t} or {pose} of the avatar; `light` on
-   * it. Returns the frame_id; 0 if nothing was sent.
+   * it; `alpha` false: a mirror is opaque. Returns the frame_id; 0 if nothing was sent.
    */
-  ask(views, where, drive, { alpha, light = null, deep = false, now }) {
+  ask(views, where, drive, { also = null, alpha, light = null, deep = false, now }) {
     const age = (this.figures.median('age') ?? 100) / 1000;
     const sample = drive.tracking ?? null;
     const side = this.sideFor(this.settings.get('size'), this.info.times, now, this.framing.seen);
-    const framed = this.framing.frame(views, where, sample, side, age, now);
+    const frame = (one, always) => this.framing.frame(views, one, sample, side, age, now, always);
+    const framed = (also && this.#pictures % SHARE === 0 && frame(also, false)) || frame(where, true);
+    const { mirror, glass, view } = framed?.where ?? where;
+    const clear = alpha || !glass;
     const request = {
       ...drive,
       t: drive.t ?? now,
       quality: this.settings.get('quality'),
       crop: true,
       box: true,
-      ...(alpha ? { alpha: 'straight' } : {}),
-      ...(alpha && deep ? { depth: true } : {}),
+      ...(clear ? { alpha: 'straight' } : {}),
+      ...(clear && deep ? { depth: true } : {}),
       ...(light ? { light: onWire(light) } : {}),
-      ...(where.mirror ? { mirror: true } : {}),
-      ...(where.view === 'own' && this.canHide ? { hide: ['head'] } : {}),
+      ...(mirror ? { mirror: true } : {}),
+      ...(view === 'own' && this.canHide ? { hide: ['head'] } : {}),
     };
     if (framed) {
       const asked = { ...framed, scene: this.#scene };
@@ -289,6 +294,7 @@ export class Stage {
     this.figures.frame(now);
     const newest = this.pictures.take();
     if (!newest) return false;
+    if (newest.asked.scene !== this.#scene) return this.pictures.close(newest); // decoded while the place changed
     const started = performance.now();
     this.painter.upload(newest);
     this.#shown = newest.info;
@@ -365,6 +371,7 @@ export class Stage {
       return;
     }
     if (asked?.scene !== this.#scene) return; // requested without the avatar in sight, or before `clear`
+    this.#pictures++;
     this.framing.learn(reply.info.box, asked, standing(reply.info.room));
     this.pictures.offer(reply, buffer, { ...asked, sent });
   }

@@ -92,7 +92,7 @@ export class Viewer {
     const lit = [this.#settings.get('place'), this.#settings.get('light')];
     const key = drive.tracking || drive.pose ? '' : JSON.stringify([seen, lit]);
     const room = this.#settings.get('room') !== '';
-    const moves = room || key === '' || key !== this.#last || !this.#stage.painter.hasPair;
+    const moves = room || key === '' || key !== this.#last || !this.#stage.painter.shownAs.length;
     // the filters of tracking need every frame
     const pause = !moves ? KEEP : drive.tracking ? 0 : this.#stage.pause(now);
     const asks = this.ready() && now - this.#asked >= pause;

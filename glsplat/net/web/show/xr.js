@@ -186,18 +186,17 @@ export class Immersive {
     this.#use(sample, now, frame);
     [this.#views, this.#head, this.#sample, this.#asked] = [views, head, tracked, now];
     const { hung } = this.#where;
-    // a picture shows the room or its mirror image: whoever is in sight beside the mirror must not vanish
-    const where = hung && isAhead(hung.glass, head) ? hung : this.#where;
-    const { view } = where;
+    // a picture shows the room or its mirror image: most show what is straight ahead
+    const [where, also] = hung && isAhead(hung.glass, head) ? [hung, this.#where] : [this.#where, hung];
     // the glass of a mirror in no place is black: nothing shows through
-    const alpha = this.mode === 'ar' || view !== 'mirror' || this.#settings.get('place') !== 'plain';
+    const alpha = this.mode === 'ar' || this.#settings.get('place') !== 'plain';
     const { framebuffer } = session.renderState.baseLayer;
     const [room, transparent] = [this.mode === 'vr', this.mode === 'ar'];
     const labels = () => this.#labels(frame, head, sample, now);
     this.#stage.display = session.frameRate;
     const around = transparent ? this.#estimate.light(frame, this.#space) : undefined;
-    const deep = view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
-    this.#stage.frame(views, where, this.#drive(sample, now), { framebuffer, alpha, transparent, room, around, labels, deep, now });
+    const deep = where.view === 'own' || this.#where.whole; // hands are near, others far; one's image moves with oneself
+    this.#stage.frame(views, where, this.#drive(sample, now), { also, framebuffer, alpha, transparent, room, around, labels, deep, now });
   }
 
   #placeView(head, company) {
@@ -315,7 +314,7 @@ export class Immersive {
 
   #labels(frame, head, sample, now) {
     this.panel.rows = this.#actions.rows(this, now);
-    const { transform, width } = panelPlace(this.#where, head, sample);
+    const { transform, width } = panelPlace(this.#where, head, sample, this.#tools.others?.());
     this.panel.hang(transform, width);
     const hits = [...pointers(frame, this.#space, frame.session.inputSources), this.#mouse()]
       .filter(Boolean)

@@ -115,7 +115,7 @@ export class Here {
     });
   }
 
-  /** Return [{key, name, label, you, head}] of everybody in a room; `head`: the joint, in the room as it is shown. */
+  /** Return [{key, name, label, you, head, glass}] of everybody in a room; `head`: the joint, in the room as it is shown. */
   heads(where) {
     const { room } = this.people;
     if (!room || !this.#own) return [];
@@ -123,7 +123,7 @@ export class Here {
     const shown = multiply(where.shown, invert(fromPose(room.place ?? [0, 0, 0, 0, 0, 0, 1])));
     return room.people
       .filter(({ key }) => byKey.has(key))
-      .map(({ key, name, label, you }) => ({ key: name, name, label, you, head: headOf(byKey.get(key), shown) }));
+      .map(({ key, name, label, you }) => ({ key: name, name, label, you, head: headOf(byKey.get(key), shown), glass: where.glass }));
   }
 
   /** Figures for `stats()`. */

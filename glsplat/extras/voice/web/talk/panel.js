@@ -1,4 +1,4 @@
-// The controls of voice in a room: what talking means, join and leave, push to talk, and who is there.
+// The controls of voice in a room: a button that says what talking means, joins and leaves; push to talk, and who is there.
 
 import { Talk } from './talk.js';
 
@@ -8,10 +8,11 @@ const KEPT = 'The sound does not pass this server, and nothing is recorded here.
 const NO_PATH = 'No path between your browsers: you do not hear each other. Another network may help, or a TURN server that this one names.';
 
 /**
- * Insert the controls behind `place`, an element. `relay`: sound goes through TURN servers only. Returns {talk, rows(),
- * offered(room)}: rows for the menu of a headset; `offered` shows the controls for a room, '' hides them.
+ * Insert the button before `first`, an element, and the other controls before `place`. `relay`: sound goes through TURN
+ * servers only. Returns {talk, rows(), offered(room)}: rows for the menu of a headset; `offered` shows the controls for a
+ * room, '' hides them.
  */
-export function addTalk(place, { connection, voice, stage, relay }) {
+export function addTalk(first, place, { connection, voice, stage, relay }) {
   const document = place.ownerDocument;
   const talk = new Talk(connection, voice, stage);
   const element = (tag, fields, ...inside) => {
@@ -20,7 +21,7 @@ export function addTalk(place, { connection, voice, stage, relay }) {
     return made;
   };
   const button = (id, textContent = '') => element('button', { type: 'button', id, textContent });
-  const [join, hold] = [button('talk-join'), button('talk-hold', 'Hold to talk (space bar)')];
+  const [join, hold] = [button('talk-join', 'Talk'), button('talk-hold', 'Hold to talk (space bar)')];
   const push = element('input', { type: 'checkbox', id: 'talk-push' });
   const yes = element('button', { value: 'yes', className: 'first', id: 'talk-yes', textContent: 'Talk' });
   const no = element('button', { id: 'talk-no', textContent: 'Not now' });
@@ -31,13 +32,16 @@ export function addTalk(place, { connection, voice, stage, relay }) {
   const state = element('p', { className: 'note', id: 'talk-state' });
   state.setAttribute('role', 'status');
   const controls = element('div', {}, element('label', { className: 'tick' }, push, ' Push to talk'), ' ', hold);
-  const box = element('section', { id: 'talk', hidden: true }, join, controls, people, state, ask);
+  const box = element('section', { id: 'talk', hidden: true }, controls, people, state);
   box.setAttribute('aria-label', 'Talk with this room');
-  place.after(box);
+  join.setAttribute('aria-haspopup', 'dialog');
+  first.before(join);
+  place.before(box);
+  document.body.append(ask); // the box may be hidden
 
   const show = () => {
     const on = talk.state !== 'off';
-    join.textContent = on ? 'Stop talking' : 'Talk with this room';
+    join.setAttribute('aria-pressed', on);
     controls.hidden = !on;
     hold.hidden = !push.checked;
     people.replaceChildren(...[...talk.peers].map(([id, { name, path }]) => {
@@ -76,7 +80,7 @@ export function addTalk(place, { connection, voice, stage, relay }) {
     offered(room) {
       if (room !== box.dataset.room) talk.stop(); // what was agreed to was for that room
       box.dataset.room = room;
-      box.hidden = !room;
+      join.hidden = box.hidden = !room;
     },
   };
 }
