@@ -232,7 +232,8 @@ def _outside(head: HeadView, points: F64) -> F64:
     mesh, out = head.shot.mesh, points.copy()
     low = points[:, 1] < mesh.skeleton.joints[JOINT_NAMES.index("neck"), 1] + 0.03
     skin = head.body.skin
-    for some, vertices, gap in ((~low, head.bare, _SKULL_GAP_M), (low, mesh.vertices, _CLOTH_GAP_M)):
+    dressed = np.where(vertices_of(head.body, "neck")[:, None], head.bare, mesh.vertices)  # hair made a neck's outline
+    for some, vertices, gap in ((~low, head.bare, _SKULL_GAP_M), (low, dressed, _CLOTH_GAP_M)):
         if not some.any():
             continue
         normals = vertex_normals(vertices, mesh.faces)[skin]

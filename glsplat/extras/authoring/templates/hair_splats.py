@@ -44,6 +44,7 @@ _SCALP_REACH_M, _NAPE_REACH_M, _CLOTH_REACH_M = 0.035, 0.018, 0.03  # from the t
 _MAX_SCALP_SIGMA_M = 0.013  # wider splats would show around the hair
 _CURTAIN_REACH_M = 0.008  # aside, from hair that hangs behind a neck
 _MIN_VISIBILITY = 0.15
+_BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -75,7 +76,7 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     guess *= (shade / usual).clip(0.6, 1.1)[:, None]
     guess *= (_lightness(own).mean() / _lightness(guess).mean()) ** 3
     pictured = shot.sample(shot.project(there))
-    brightest = np.quantile(own @ _LUMINANCE, 0.98)  # more is the room between locks
+    brightest = np.quantile(own @ _LUMINANCE, _BRIGHTEST_QUANTILE)  # more is the room between locks
     pictured *= (brightest / (pictured @ _LUMINANCE).clip(brightest, None))[:, None]
     rgb = to_srgb(guess + trust[:, None] * (pictured - guess))
     even = np.ones(len(points))
