@@ -93,6 +93,7 @@ def covered_by_hair(hair: FittedHair) -> Bools:
     points = points[carved(head, hair.seen, points)[0]]
     under = np.zeros(len(head.bare), bool)
     under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
+    under &= ~np.any(ears_of(head.body), axis=0)  # few splats would blur them
     return under & ((head.shot.visibility < _MIN_VISIBILITY) | value_at(hair.seen.mask, head.shot.view.pixels))
 
 
