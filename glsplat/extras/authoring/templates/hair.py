@@ -51,7 +51,7 @@ _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
 _HAIR_PLAY_M, _GAP_M = 0.006, 0.02
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
 _NECK_REACH_M = 0.025  # from seen hair: there a neck has its outline
-_FACE_BULGE_M = 0.008  # a face wears nothing: more is hair beside it
+_FACE_BULGE_M = 0.02  # a face wears nothing: more is hair beside it
 _SMOOTHING_ROUNDS = 4
 _CHAIN = ("spine1", "spine2", "spine3", "head")  # that hair follows, by height
 
