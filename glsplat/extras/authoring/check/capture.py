@@ -89,8 +89,9 @@ def check_capture(
     if person is None or not sure:
         nothing = np.zeros(picture.shape[:2], bool)
         return Capture((_nobody(picture, person, people),), None, nothing)
-    outline = run_in_background(lambda: person_mask(picture, person.body) if known_mask is None else known_mask)
-    parts = run_in_background(lambda: head_parts(picture, person.face))
+    body, face = person.body, person.face
+    outline = run_in_background(lambda: person_mask(picture, body) if known_mask is None else known_mask)
+    parts = run_in_background(lambda: head_parts(picture, face))
     several = _several(picture, person, people)
     person = replace(person, head_parts=parts())
     mask = outline() if known_mask is not None else with_head(outline(), person.head_parts)

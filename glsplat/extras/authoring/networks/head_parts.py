@@ -75,7 +75,7 @@ def _network() -> Any:
     def conv(picture: str, name: str, norm: str = "", stride: int = 1, relu: bool = False) -> str:
         """Add a convolution without bias, and the normalisation behind it."""
         kernel = weights[f"{name}.weight"]
-        bias = np.zeros(len(kernel), np.float32)
+        bias = np.zeros_like(kernel[:, 0, 0, 0])
         if norm:
             scale = weights[f"{norm}.weight"] / np.sqrt(weights[f"{norm}.running_var"] + _NORM_EPSILON)
             bias = weights[f"{norm}.bias"] - weights[f"{norm}.running_mean"] * scale

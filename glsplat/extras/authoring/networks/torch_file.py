@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 
-_TYPES = {"FloatStorage": np.dtype("<f4"), "LongStorage": np.dtype("<i8")}
+_TYPES: dict[str, np.dtype[Any]] = {"FloatStorage": np.dtype("<f4"), "LongStorage": np.dtype("<i8")}
 
 
 class _Tensor(NamedTuple):
@@ -25,7 +25,7 @@ def read_tensors(path: Path) -> dict[str, NDArray[Any]]:
     """Return the tensors by name. Raises FormatError, one line, for another file, or one that holds more."""
     try:
         with path.open("rb") as file:
-            _magic, _protocol, _system, tensors, keys = (_Unpickler(file).load() for _ in range(5))
+            _magic, _protocol, _system, tensors, keys = [_Unpickler(file).load() for _ in range(5)]
             types = {tensor.storage[2]: _TYPES[tensor.storage[1]] for tensor in tensors.values()}
             storages = {key: _values(file, types[key]) for key in keys}
             return {

@@ -14,7 +14,6 @@ from glsplat.extras.authoring.body.segments import HANDS, joint_weights, mirror_
 from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
-from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.picture_layers.layers import COARSE, PictureLayers
@@ -22,6 +21,7 @@ from glsplat.extras.authoring.paint.pixels import bilinear
 from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums, lengths
+from glsplat.skinning.smplx import JOINT_NAMES
 
 F64 = NDArray[np.float64]
 
@@ -29,6 +29,7 @@ _DEPTH_TOLERANCE_M = 0.012  # behind the nearest surface
 _VISIBILITY_COSINES = 0.12, 0.42  # of surface to line of sight: invisible, fully visible
 _BACKFACE_COSINES = -0.3, -0.1  # the same for surface on the outline
 _FAR_CHEEK_COSINES = 0.1, 0.25  # less than its mirror image: full use of a face's pixels, and none
+_CHEEK_MIN_Z_M = 0.05  # in the zero pose: before the ears
 _WRIST = 0.5, 0.75  # skinning weights of the hand's joints: hands begin softly above the cut of the arm's rows
 _MAX_COLOUR_REACH_FRACTION = 0.04  # of the height: colours extended farther fade out
 
@@ -133,7 +134,9 @@ class FittedPicture:
         A fit that is some pixels off would show other things there.
         """
         body, across = open_body(), mirror_vertices()
-        cheeks = self.face & face_vertices(body) & (body.vertices[:, 1] < eyeball(body, EYE_SIDES[0]).centre[1])
+        _, height, ahead = body.vertices.T
+        cheeks = self.face & (ahead > _CHEEK_MIN_Z_M) & (height < eyeball(body, EYE_SIDES[0]).centre[1])
+        cheeks &= np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
         away = (self.squareness[across] - self.squareness) * cheeks
         return np.maximum(ramp(away, *_FAR_CHEEK_COSINES) * self.visibility[across], hand_shares(body).sum(axis=0))
 

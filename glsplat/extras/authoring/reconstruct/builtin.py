@@ -41,7 +41,7 @@ from glsplat.extras.authoring.reconstruct.reconstructor import (
     Picture,
 )
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
@@ -75,7 +75,10 @@ class Builtin:
         hair, worn = None, f"painted, a template needs {_MIN_SPLATS_WITH_HAIR} splats"
         if options.splats >= _MIN_SPLATS_WITH_HAIR:
             hair, worn = _template_hair(body, fit, bald[0], parts)
-        shots = with_hair(body, bald) if hair is None else bald
+        if hair is None:
+            shots = with_hair(body, bald)
+        else:
+            hair, shots = bared(hair, bald)
         mesh = shots[0].mesh
         shod, footwear = _shod(body, fit, shots[0])
         whole, notes = shod or mesh, {"hair": worn, "shoes": footwear}

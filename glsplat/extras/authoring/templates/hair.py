@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
+from glsplat.extras.authoring.paint.head import vertices_of
+from glsplat.extras.authoring.paint.inpaint.hair import moved_view
 from glsplat.extras.authoring.paint.ramps import smoothstep
+from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.templates.hair_mask import SeenHair
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.extras.authoring.templates.library import template
 from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
 
 F64 = NDArray[np.float64]
@@ -30,20 +35,24 @@ _BY_LENGTH = {
     "short": ("short01", "short02", "short03", "short04", "afro01"),
 }
 _LONG_M, _LONG_WIDE_M = 0.045, 0.02  # below the chin; the second if it is as wide as the head there
-_BOB_M = -0.03  # below the chin
+_BOB_M = -0.045  # below the chin
 _AFRO_RATIO = 1.35  # of the hair's radius about the eyes to the skull's
 # what outlines do not tell: which short template looks best, and that most long hair hangs loose
-_PREFERENCE = {"short02": 0.1, "short04": -0.03, "braid01": -0.15, "bob02": -0.1}
+_PREFERENCE = {"short02": 0.1, "short03": 0.05, "short04": -0.03, "braid01": -0.15, "bob02": -0.1}
 _WASTE_WEIGHT, _LONG_WASTE_WEIGHT = 0.4, 0.1  # long templates fall over the chest, where the picture may show cloth
 _TRIAL_POINTS, _GRAIN_M = 6000, 0.008  # that try a template, and the cells that they cover
 _ROW_M = 0.005
 _MIN_EXTENT_M = 0.03  # aside, for a width to be compared
 _STRETCH = 0.75, 1.5  # of widths and heights
+_DEEPER = 0.95, 1.2  # of depths
 _BEHIND_SHOULDERS_M = 0.12  # that long hair goes on where the front loses it
 _MAX_LOCK_M = 0.03  # from that end
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
-_HAIR_PLAY_M = 0.006
+_HAIR_PLAY_M, _GAP_M = 0.006, 0.02
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
+_NECK_REACH_M = 0.025  # from seen hair: there a neck has its outline
+_FACE_BULGE_M = 0.02  # a face wears nothing: more is hair beside it
+_SMOOTHING_ROUNDS = 4
 _CHAIN = ("spine1", "spine2", "spine3", "head")  # that hair follows, by height
 
 
@@ -52,7 +61,7 @@ class FittedHair:
     """A template fitted to the hair of the front picture."""
 
     name: str
-    agreement: float  # share of the seen hair that it covers, less what is carved away
+    agreement: float  # share of the seen hair that it covers, less what is carved away; at most 1
     long: bool
     head: HeadView
     seen: SeenHair
@@ -71,7 +80,7 @@ def fit_hair(head: HeadView, seen: SeenHair, names: tuple[str, ...]) -> FittedHa
     if "afro01" in own and _volume(head, seen) < _AFRO_RATIO:
         own.remove("afro01")
     fitted = [_fitted(head, seen, name, length == "long") for name in own]
-    return max(fitted, key=lambda hair: hair.agreement, default=None)
+    return max(fitted, key=lambda hair: hair.agreement + _PREFERENCE.get(hair.name, 0.0), default=None)
 
 
 def _length(head: HeadView, seen: SeenHair) -> str:
@@ -101,7 +110,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     """Return the template ``name`` with the outline of the seen hair, and how well it agrees."""
     body, own = head.body, template(name)
     where = _outside(head, _carried(own.vertices, body.vertices[head.skull], head.bare[head.skull]))
-    where = _outside(head, _with_outline(head, seen, where))
+    where = _outside(head, _with_outline(head, seen, where, long))
     joints, weights = _binding(head, where)
     (part,) = own.parts
     reached = head.plane_of(where)[:, 1] > _hair_end(seen) - _MAX_LOCK_M
@@ -126,7 +135,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     if seen.hat is not None:
         before &= head.plane_of(points)[:, 1] < seen.hat
     wasted = 1 - float((stays & before).sum()) / max(int(before.sum()), 1)
-    agreement = share - (_LONG_WASTE_WEIGHT if long else _WASTE_WEIGHT) * wasted + _PREFERENCE.get(name, 0.0)
+    agreement = share - (_LONG_WASTE_WEIGHT if long else _WASTE_WEIGHT) * wasted
     return FittedHair(name, round(agreement, 3), long, head, seen, mesh)
 
 
@@ -153,7 +162,10 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     flat = head.plane(pixels)
     inside = value_at(_grown(head, head.shot.mask, _OUTLINE_PLAY_M), pixels)
     hair = value_at(_grown(head, seen.mask, _HAIR_PLAY_M), pixels)
-    front = there[:, 2] < head.body_z(pixels) + 0.006
+    behind = head.body_z(pixels)
+    beside = cv2.morphologyEx(seen.mask.astype(np.uint8), cv2.MORPH_CLOSE, _square(head, _GAP_M)) > 0
+    hair |= value_at(beside, pixels) & np.isinf(behind)  # gaps in it, but none before the face
+    front = there[:, 2] < behind + 0.006
     facing = (there[:, 2] < head.camera_z + 0.02) & (flat[:, 1] > head.sizes.chin - 0.02)
     locks = (
         0.012 * np.sin(points[:, 0] * 210) + 0.009 * np.sin(points[:, 0] * 530 + 1) + 0.01 * np.sin(points[:, 2] * 300)
@@ -164,14 +176,42 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     return stays, front | hair
 
 
+def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHair, tuple[FittedPicture, ...]]:
+    """Return the pictures with the bare head and neck under the hair, whose outline they had, and the hair on them.
+
+    The face stays where it does not follow that outline, and so does what is under a hat.
+    """
+    head, mesh = hair.head, shots[0].mesh
+    body, beside = head.body, _grown(head, hair.seen.mask, _NECK_REACH_M)
+    bulge = lengths(mesh.vertices - head.bare)
+    gone = head.skull & (~face_vertices(body) | (bulge > _FACE_BULGE_M))
+    gone |= vertices_of(body, "neck") & value_at(beside, shots[0].view.pixels)
+    if hair.seen.hat is not None:
+        gone &= head.plane_of(head.bare)[:, 1] < hair.seen.hat
+    share, degree = gone.astype(np.float64), np.asarray(body.neighbours.sum(axis=1)).ravel().clip(1)
+    for _ in range(_SMOOTHING_ROUNDS):
+        share = np.where(gone & (share > 0.99), 1.0, body.neighbours @ share / degree)
+    share *= body.skin
+    mesh = replace(mesh, vertices=mesh.vertices + share[:, None] * (head.bare - mesh.vertices))
+    views = [moved_view(mesh, shot.view, share > 0) for shot in shots]
+    out = tuple(
+        replace(shot, mesh=mesh, view=replace(view, pixels=shot.project(view.vertices)))
+        for shot, view in zip(shots, views, strict=True)
+    )
+    return replace(hair, head=replace(head, shot=out[0])), out
+
+
 def _hair_end(seen: SeenHair) -> float:
     """Return the height in the head's plane down to which hair hangs on a back."""
     return float(np.quantile(seen.plane[:, 1], 0.01)) - _BEHIND_SHOULDERS_M
 
 
 def _grown(head: HeadView, mask: Bools, metres: float) -> Bools:
-    side = 2 * max(1, int(metres * head.scale)) + 1
-    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    return cv2.dilate(mask.astype(np.uint8), _square(head, metres)) > 0
+
+
+def _square(head: HeadView, metres: float) -> NDArray[np.uint8]:
+    return np.ones((2 * max(1, int(metres * head.scale)) + 1,) * 2, np.uint8)
 
 
 def _carried(points: F64, source: F64, target: F64) -> F64:
@@ -192,7 +232,8 @@ def _outside(head: HeadView, points: F64) -> F64:
     mesh, out = head.shot.mesh, points.copy()
     low = points[:, 1] < mesh.skeleton.joints[JOINT_NAMES.index("neck"), 1] + 0.03
     skin = head.body.skin
-    for some, vertices, gap in ((~low, head.bare, _SKULL_GAP_M), (low, mesh.vertices, _CLOTH_GAP_M)):
+    dressed = np.where(vertices_of(head.body, "neck")[:, None], head.bare, mesh.vertices)  # hair made a neck's outline
+    for some, vertices, gap in ((~low, head.bare, _SKULL_GAP_M), (low, dressed, _CLOTH_GAP_M)):
         if not some.any():
             continue
         normals = vertex_normals(vertices, mesh.faces)[skin]
@@ -206,7 +247,7 @@ def _outside(head: HeadView, points: F64) -> F64:
     return out
 
 
-def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> F64:
+def _with_outline(head: HeadView, seen: SeenHair, where: F64, long: bool) -> F64:
     """Return vertices as wide as the seen hair at each height.
 
     Above the eyes, the outline is stretched as a curve about them. The hair's depth follows its width; hair that
@@ -237,8 +278,9 @@ def _with_outline(head: HeadView, seen: SeenHair, where: F64) -> F64:
         round_, near = _round_scale(seen.plane, flat, sizes.eyes), smoothstep(flat[:, 1] - sizes.eyes, 0.0, 0.03)
         wide = wide + near * (round_ - wide)
         tall *= 1 + near * (round_ - 1)
-    hangs = 1 - smoothstep(flat[:, 1], sizes.chin - 0.03, sizes.eyes)
-    deep = 1 + (1 - hangs) * (wide.clip(0.85, 1.3) - 1)
+    hangs = 1 - smoothstep(flat[:, 1], sizes.chin - 0.03, sizes.eyes) if long else np.zeros(len(where))
+    # one depth: hair beside the ears may stand out, behind them it would be a beak
+    deep = 1 + (1 - hangs) * (np.median(wide[upper]).clip(*_DEEPER) - 1)
     wide = wide + hangs * (wide.clip(0.85, 1.2) - wide)
     centre = np.array([0.0, sizes.eyes_rest, head.middle[2]])
     return np.asarray(centre + (where - centre) * np.stack([wide, tall, deep], axis=1))

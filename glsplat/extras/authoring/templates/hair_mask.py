@@ -27,6 +27,7 @@ _MIN_HAT = 20.0  # between a hat and the hair below it
 _MAX_LIGHTER = 40.0  # of hair beside the face than this, in lightness: more is a hand or the room beside a dark mask
 _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
+_OUTSIDE_BONUS = 8.0  # beside the bare head little is not hair
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
 _MIN_PIXELS = 60  # of a lock
 # of what is above the eyes: labels that no head has; a hat; hair of a head that is not bald
@@ -84,10 +85,12 @@ def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHai
     covered = worn and min(_apart(crown, lit) for lit in _shaded(flank, (*_SHADES, 1.4, 2.0, 2.8))) > _MIN_HAT
     hair = flank if covered else crown
     like = np.min([away(shade) for shade in _shaded(hair, _SHADES)], axis=0)
+    bare = np.isfinite(head.body_z(pixels.reshape(-1, 2))).reshape(mask.shape)
+    outside = near & (up > sizes.chin) & ~bare
     if not worn and _apart(crown, skin) < _MIN_UNLIKE_SKIN:
-        bare = np.isfinite(head.body_z(pixels.reshape(-1, 2))).reshape(mask.shape)
-        rim = near & (up > sizes.chin) & ~bare & (like < _SURE_LIKE)
+        rim = outside & (like < _SURE_LIKE)
         return seen(rim) if rim.sum() > _MIN_RIM_FRACTION * (bare & (up > sizes.chin)).sum() else None
+    like = like - np.where(outside, _OUTSIDE_BONUS, 0.0).astype(np.float32)
     other = np.min([away(shade) for shade in _shaded(skin, (*_SHADES, 1.3))], axis=0)
     main = _cloths(head, look, box)
     cloths = [cloth for cloth, _ in main if _apart(cloth, hair) > _SAME_AS_CLOTH]

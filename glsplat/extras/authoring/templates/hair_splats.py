@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.extras.authoring.paint.head import ears_of
 from glsplat.extras.authoring.paint.lamp import Lamp
@@ -31,18 +32,19 @@ Bools = NDArray[np.bool_]
 HAIR_SPLATS = 8_000
 """Of an avatar whose hair is a template."""
 
-_SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85)  # less shows cracks, more blurs the locks
+# a smaller sigma shows cracks, a larger one blurs the locks, which cells follow by their light and dark
+_SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85, color_weight=4.0, candidates=12)
 _POINTS_PER_SPLAT = 32
 _MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
-_CONTRAST = 0.5, 1.3  # of the template's locks against the picture's
-_GUESS_RANGE = 0.35, 2.2  # of brightness against the picture's median
+_CONTRAST = 0.05, 0.08  # standard deviation of the locks' lightness
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.75  # of hair's colour, in its own shadow
-_SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
-_MAX_SCALP_SIGMA_M = 0.009  # wider splats would show around the hair
-_BULGE_M = 0.02  # of the dressed head over the bare one
+_SCALP_REACH_M, _NAPE_REACH_M, _CLOTH_REACH_M = 0.035, 0.018, 0.03  # from the template: what it covers
+_MAX_SCALP_SIGMA_M = 0.012  # wider splats would show around the hair
+_CURTAIN_REACH_M = 0.008  # aside, from hair that hangs behind a neck
 _MIN_VISIBILITY = 0.15
+_BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -72,8 +74,11 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     sure = trust > 0.5
     usual = float(np.median(shade[sure] if sure.sum() > 50 else shade))
     guess *= (shade / usual).clip(0.6, 1.1)[:, None]
-    guess *= np.exp(_log_light(own).mean() - _log_light(guess).mean())
-    rgb = to_srgb(guess + trust[:, None] * (shot.sample(shot.project(there)) - guess))
+    guess *= (_lightness(own).mean() / _lightness(guess).mean()) ** 3
+    pictured = shot.sample(shot.project(there))
+    brightest = np.quantile(own @ _LUMINANCE, _BRIGHTEST_QUANTILE)  # more is the room between locks
+    pictured *= (brightest / (pictured @ _LUMINANCE).clip(brightest, None))[:, None]
+    rgb = to_srgb(guess + trust[:, None] * (pictured - guess))
     even = np.ones(len(points))
     corners = spots.matrix(len(mesh.vertices))
     cloud = Cloud(points, normals, rgb, even, even, 0 * even, corners, skin_of(mesh), area, face)
@@ -88,6 +93,7 @@ def covered_by_hair(hair: FittedHair) -> Bools:
     points = points[carved(head, hair.seen, points)[0]]
     under = np.zeros(len(head.bare), bool)
     under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
+    under &= ~np.any(ears_of(head.body), axis=0)  # few splats would blur them
     return under & ((head.shot.visibility < _MIN_VISIBILITY) | value_at(hair.seen.mask, head.shot.view.pixels))
 
 
@@ -103,13 +109,16 @@ def _drawn_back(head: HeadView, points: F64) -> F64:
 
 def _coloured(rgb: F64, own: F64) -> F64:
     """Return linear colours [M, 3]: the template's light and dark, in colour and contrast of the picture's ``own``."""
-    mine = _log_light(to_linear(rgb))
-    contrast = float(np.clip(_log_light(own).std() / max(mine.std(), 1e-3), *_CONTRAST))
-    return np.median(own, axis=0) * np.exp(contrast * (mine - np.median(mine))).clip(*_GUESS_RANGE)[:, None]
+    mine, theirs = _lightness(to_linear(rgb)), _lightness(own)
+    contrast = np.clip(theirs.std(), *_CONTRAST) / max(mine.std(), 1e-3)
+    light = (np.median(theirs) + contrast * (mine - np.median(mine))).clip(0.3 * np.median(theirs), 1.0) ** 3
+    colour = np.median(own, axis=0)
+    return light[:, None] * (colour / max(colour @ _LUMINANCE, 1e-4))
 
 
-def _log_light(linear: F64) -> F64:
-    return np.asarray(np.log(linear @ _LUMINANCE + 0.006))
+def _lightness(linear: F64) -> F64:
+    """Return [M] the lightness of linear colours [M, 3], 0 to 1, even to the eye."""
+    return np.cbrt(linear @ _LUMINANCE)
 
 
 def _trust(head: HeadView, mask: Bools, there: F64, outwards: F64) -> F64:
@@ -144,27 +153,26 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     vertex = near[mine]
     on_hair, visible = value_at(hair.seen.mask, shot.view.pixels), shot.visibility > _MIN_VISIBILITY
     pictured, shown = on_hair[vertex], visible[vertex]
-    hairy = ~shown | pictured
+    hairy = np.where(shown, pictured, ~face_vertices(body)[vertex])  # folds of lids are no scalp
     ears = np.any(ears_of(body), axis=0)
     if 2 * on_hair[ears & visible].sum() < (ears & visible).sum():
         hairy &= ~ears[vertex]  # both are skin, as painted
-    hairy &= np.minimum(tree.query(means[mine])[0], tree.query(head.bare[vertex])[0]) < _SCALP_REACH_M
-    if hair.long:  # brims, and rims of the outline beside hair
-        bulge = lengths(rest[vertex] - head.bare[vertex]) > _BULGE_M
-        hairy |= bulge & (head.bare[vertex, 2] < shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 2])
+    neck = shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 2]
+    behind = rest[vertex, 2] < neck
+    curtain = cKDTree(points[points[:, 2] < neck, :2])
+    hidden = behind & (curtain.query(means[mine, :2])[0] < _CURTAIN_REACH_M)
+    hairy &= hidden | (tree.query(means[mine])[0] < np.where(behind, _NAPE_REACH_M, _SCALP_REACH_M))
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
     mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]
-    moved, sh = avatar.splats.means.copy(), avatar.splats.sh.copy()
-    moved[mine] += head.bare[vertex] - rest[vertex]
-    scales = avatar.splats.scales.copy()
+    scales, sh = avatar.splats.scales.copy(), avatar.splats.sh.copy()
     scales[mine] = np.minimum(scales[mine], _MAX_SCALP_SIGMA_M)
     painted = to_linear((sh[mine, 0] * SH_C0 + 0.5).clip(0, 1).astype(np.float64))
     scalp = np.where(own[:, None], _SEEN_SCALP_SHADE * painted, _SCALP_SHADE * colour)
     sh[mine, 0] = (to_srgb(scalp) - 0.5) / SH_C0
-    behind = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0
-    unseen = ~on_head[near] & (behind & (shot.visibility < 0.1))[near] & (means[:, 1] > points[:, 1].min())
+    backwards = vertex_normals(rest, shot.mesh.faces)[:, 2] < 0
+    unseen = ~on_head[near] & (backwards & (shot.visibility < 0.1))[near] & (means[:, 1] > points[:, 1].min())
     below = np.flatnonzero(unseen)
     below = below[tree.query(means[below])[0] < _CLOTH_REACH_M]
     sh[below, 0] = (to_srgb(_SCALP_SHADE * colour) - 0.5) / SH_C0
-    return replace(avatar, splats=replace(avatar.splats, means=moved, scales=scales, sh=sh))
+    return replace(avatar, splats=replace(avatar.splats, scales=scales, sh=sh))

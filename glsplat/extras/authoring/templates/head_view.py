@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.extras.authoring.fit.body_fit import BodyFit
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.paint.picture_layers.layers import rasterize
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.rotations import nearest_rotations
@@ -94,7 +95,8 @@ class HeadSizes(NamedTuple):
 def head_view(body: Body, fit: BodyFit, shot: FittedPicture) -> HeadView:
     """Return the head of the fitted body in the front picture."""
     view, mesh = shot.view, shot.mesh
-    bare = body.shaped(fit.betas)[0] - (fit.joints[0] - mesh.skeleton.joints[0])
+    dressed = fit.rest - (fit.joints[0] - mesh.skeleton.joints[0])
+    bare = dressed - fit.offsets[:, None] * offset_directions(body, body.shaped(fit.betas)[0])
     skull = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "jaw")])
     rest, there = mesh.vertices[skull], view.vertices[skull]
     rotation = nearest_rotations(((there - there.mean(axis=0)).T @ (rest - rest.mean(axis=0)))[None])[0]

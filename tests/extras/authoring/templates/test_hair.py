@@ -10,8 +10,9 @@ import numpy as np
 
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
+from glsplat.extras.authoring.paint.inpaint.hair import moved_view
 from glsplat.extras.authoring.sample.scatter import scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, fit_hair
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import HeadView, head_view
@@ -109,11 +110,25 @@ def face_pixels(head: HeadView) -> tuple[np.ndarray, np.ndarray]:
 def test_template_is_chosen_by_length_and_agrees() -> None:
     short, long = fitted("short02")[1], fitted("long01")[1]
     assert short.name.startswith("short") and not short.long and long.name == "long01" and long.long
-    assert min(short.agreement, long.agreement) > MIN_AGREEMENT
+    assert min(short.agreement, long.agreement) > MIN_AGREEMENT and max(short.agreement, long.agreement) <= 1
     head, seen = short.head, short.seen
     beside = replace(seen, mask=np.roll(seen.mask, 80, axis=1))  # hair that is not on the head agrees with nothing
     wrong = fit_hair(head, beside, tuple(HAIR))
     assert wrong is not None and wrong.agreement < short.agreement - 0.3
+
+
+def test_the_head_is_bare_under_hair_that_its_outline_followed() -> None:
+    hair, shot = fitted("long01")[1], photographed("front").shots[0]
+    head, skull = hair.head, hair.head.skull
+    swollen = np.where(skull[:, None], head.middle + 1.2 * (head.bare - head.middle), shot.mesh.vertices)
+    mesh = replace(shot.mesh, vertices=swollen)
+    shot = replace(shot, mesh=mesh, view=moved_view(mesh, shot.view, skull))
+    bare, (made,) = bared(hair, (shot,))
+    behind = skull & ~face_vertices(head.body)
+    assert bare.head.shot is made and np.allclose(made.mesh.vertices[behind], head.bare[behind], atol=1e-6)
+    assert np.allclose(made.view.pixels, made.project(made.view.vertices))
+    feet = swollen[:, 1] < 1.0
+    assert np.array_equal(made.mesh.vertices[feet], swollen[feet])
 
 
 def test_a_collar_of_the_hairs_colour_is_no_hair() -> None:

@@ -65,10 +65,10 @@ def with_hair(body: Body, shots: tuple[FittedPicture, ...]) -> tuple[FittedPictu
     moved = rest.copy()
     moved[:, 2] += back
     mesh = replace(front.mesh, vertices=moved)
-    return tuple(shot.without_view_of(mesh, _moved_view(mesh, shot.view, back < 0)) for shot in shots)
+    return tuple(shot.without_view_of(mesh, moved_view(mesh, shot.view, back < 0)) for shot in shots)
 
 
-def _moved_view(mesh: RiggedMesh, view: FittedView, some: NDArray[np.bool_]) -> FittedView:
+def moved_view(mesh: RiggedMesh, view: FittedView, some: NDArray[np.bool_]) -> FittedView:
     """Return the view with ``some`` [V] vertices where the mesh has them; their pixels, hidden, are unchanged."""
     there = mesh.posed(Pose(view.rotations)) - mesh.skeleton.joints[0]
     return replace(view, vertices=np.where(some[:, None], there @ view.root.T + view.pelvis, view.vertices))

@@ -84,8 +84,8 @@ class Tailoring:
         for name, first, last, width, deep in _FOLDS:
             for side, sign in (("left", 1.0), ("right", -1.0)):
                 ends = np.array([first, last]) + rng.uniform(-_UNEVEN_M, _UNEVEN_M, (2, 2))
-                ends = joints[JOINT_NAMES.index(f"{side}_{name}"), :2] + ends * (sign, 1.0)
-                folds[some] += _fold(where[some, :2], *ends, width, deep * rng.uniform(*_UNEVEN_DEPTH))
+                begin, end = joints[JOINT_NAMES.index(f"{side}_{name}"), :2] + ends * (sign, 1.0)
+                folds[some] += _fold(where[some, :2], begin, end, width, deep * rng.uniform(*_UNEVEN_DEPTH))
         return np.exp(share * (folds - lines)), share * (lines / _FULL_LINE).clip(0, 1)
 
 
