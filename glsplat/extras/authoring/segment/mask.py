@@ -46,18 +46,25 @@ class MaskConfig:
     """Shadows on the floor are expected below this height above the ankles."""
 
 
+_MIN_LOCK_FRACTION = 0.1  # width of a lock that a mask lacks, of the root of the hair's area
 _SHADOW_FACTORS = (0.88, 0.76, 0.64, 0.52, 0.4)  # brightness of shadows, in sRGB values
 _SURE_COUNT_PX = np.float32(30)  # pixels from which a distribution is fully trusted
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance
 
 
 def with_head(mask: NDArray[np.bool_], parts: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
-    """Return the person's mask [H, W] with the hair, hat and ears that touch it, by ``parts`` [H, W] if known."""
+    """Return the person's mask [H, W] with the locks, hat and ears that it lacks, by ``parts`` [H, W] if known.
+
+    The mask's own outline is finer than that of ``parts``, so thin strips beside it are left out.
+    """
     if parts is None:
         return mask
     worn = np.isin(parts, (HeadPart.HAIR, HeadPart.HAT, HeadPart.LEFT_EAR, HeadPart.RIGHT_EAR))
-    _, label = cv2.connectedComponents((mask | worn).astype(np.uint8))
-    return np.isin(label, np.unique(label[mask]))
+    side = max(3, int(_MIN_LOCK_FRACTION * np.sqrt(worn.sum())))
+    missing = cv2.morphologyEx((worn & ~mask).astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0  # opening rounds corners
+    _, label = cv2.connectedComponents(missing.astype(np.uint8))
+    return mask | (missing & np.isin(label, np.unique(label[missing & near])))
 
 
 def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConfig | None = None) -> NDArray[np.bool_]:

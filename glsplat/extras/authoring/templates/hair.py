@@ -179,13 +179,14 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
 def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHair, tuple[FittedPicture, ...]]:
     """Return the pictures with the bare head and neck under the hair, whose outline they had, and the hair on them.
 
-    The face stays where it does not follow that outline, and so does what is under a hat.
+    The face stays but where hair covers it and swelled it, and so does what is under a hat.
     """
     head, mesh = hair.head, shots[0].mesh
     body, beside = head.body, _grown(head, hair.seen.mask, _NECK_REACH_M)
-    bulge = lengths(mesh.vertices - head.bare)
-    gone = head.skull & (~face_vertices(body) | (bulge > _FACE_BULGE_M))
-    gone |= vertices_of(body, "neck") & value_at(beside, shots[0].view.pixels)
+    bulge, pixels = lengths(mesh.vertices - head.bare), shots[0].view.pixels
+    covered = (bulge > _FACE_BULGE_M) & value_at(hair.seen.mask, pixels)
+    gone = head.skull & (~face_vertices(body) | covered)
+    gone |= vertices_of(body, "neck") & value_at(beside, pixels)
     if hair.seen.hat is not None:
         gone &= head.plane_of(head.bare)[:, 1] < hair.seen.hat
     share, degree = gone.astype(np.float64), np.asarray(body.neighbours.sum(axis=1)).ravel().clip(1)

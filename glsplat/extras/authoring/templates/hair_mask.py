@@ -70,7 +70,8 @@ def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHai
         plane = where[found]
         return SeenHair(out, plane[:: max(1, len(plane) // 20_000)], hat)
 
-    if parts is not None and (labelled := _labelled_hair(head, look, parts[box], near, aside, up)) is not None:
+    main = _cloths(head, look, box)
+    if parts is not None and (labelled := _labelled_hair(head, look, parts[box], main, near, aside, up)) is not None:
         return seen(*labelled)
     face = _vertex_pixels(head, face_vertices(head.body), box)
     skin = np.median(look[face], axis=0)
@@ -92,7 +93,6 @@ def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHai
         return seen(rim) if rim.sum() > _MIN_RIM_FRACTION * (bare & (up > sizes.chin)).sum() else None
     like = like - np.where(outside, _OUTSIDE_BONUS, 0.0).astype(np.float32)
     other = np.min([away(shade) for shade in _shaded(skin, (*_SHADES, 1.3))], axis=0)
-    main = _cloths(head, look, box)
     cloths = [cloth for cloth, _ in main if _apart(cloth, hair) > _SAME_AS_CLOTH]
     like_hair = sum(share for cloth, share in main if _apart(cloth, hair) <= _SAME_AS_CLOTH)
     below = up < sizes.chin + 0.01
@@ -129,11 +129,15 @@ def _labelled_hair(
     head: HeadView,
     look: NDArray[np.float32],
     parts: NDArray[np.uint8],
+    main: list[tuple[F64, float]],
     near: Bools,
     aside: NDArray[np.floating],
     up: NDArray[np.floating],
 ) -> tuple[Bools, float | None] | None:
-    """Return hair and the rim of a hat as the network sees them; None where it sees none, or what no head has."""
+    """Return hair and the rim of a hat as the network sees them; None where it sees none, or what no head has.
+
+    ``main`` are the chest's colours: between locks cloth shows, and dark hair on a dark collar is taken for cloth.
+    """
     sizes = head.sizes
     above = near & (up > sizes.eyes)
     if np.isin(parts[above], (HeadPart.BACKGROUND, HeadPart.CLOTH)).mean() > _MAX_UNKNOWN:
@@ -143,11 +147,17 @@ def _labelled_hair(
     found = near & ((parts == HeadPart.HAIR) | ((parts == HeadPart.HAT) & ~hat)) & ~beard
     if not found.any():
         return None
-    colours = _shaded(np.median(look[found], axis=0), _SHADES)
-    like = np.min([np.linalg.norm((look - one.astype(np.float32)) * _METRIC, axis=2) for one in colours], axis=0)
-    # the network takes dark hair beside a dark collar for cloth
+    hair = np.median(look[found], axis=0)
+
+    def away(colours: F64) -> NDArray[np.float32]:
+        return np.min([np.linalg.norm((look - one.astype(np.float32)) * _METRIC, axis=2) for one in colours], axis=0)
+
+    like = away(_shaded(hair, _SHADES))
     beside = (aside > sizes.half_width) & (up > sizes.chin)
     found |= near & (parts == HeadPart.CLOTH) & (like < _SURE_LIKE) & beside
+    for cloth, _ in main:
+        if _apart(cloth, hair) > _SAME_AS_CLOTH:
+            found &= (up > sizes.chin) | (like < away(cloth[None]))
     found = _from_head(_opened(found), up, sizes.eyes)
     if found.sum() < _MIN_HAIR_FRACTION * above.sum():
         return None

@@ -74,7 +74,7 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     sure = trust > 0.5
     usual = float(np.median(shade[sure] if sure.sum() > 50 else shade))
     guess *= (shade / usual).clip(0.6, 1.1)[:, None]
-    guess *= (_lightness(own).mean() / _lightness(guess).mean()) ** 3
+    guess *= (np.median(_lightness(own)) / np.median(_lightness(guess))) ** 3
     pictured = shot.sample(shot.project(there))
     brightest = np.quantile(own @ _LUMINANCE, _BRIGHTEST_QUANTILE)  # more is the room between locks
     pictured *= (brightest / (pictured @ _LUMINANCE).clip(brightest, None))[:, None]
