@@ -148,6 +148,8 @@ def _labelled_hair(
     if not found.any():
         return None
     hair = np.median(look[found], axis=0)
+    if hat.any() and _apart(np.median(look[hat], axis=0), hair) < _MIN_HAT:  # the same in other light
+        found, hat = found | hat, np.zeros_like(hat)
 
     def away(colours: F64) -> NDArray[np.float32]:
         return np.min([np.linalg.norm((look - one.astype(np.float32)) * _METRIC, axis=2) for one in colours], axis=0)
