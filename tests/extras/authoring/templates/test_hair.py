@@ -94,6 +94,9 @@ def test_a_networks_labels_decide_where_they_make_sense() -> None:
     assert (seen.mask & drawn).sum() > 0.9 * (drawn & (up > head.sizes.eyes)).sum()
     rim = head.sizes.eyes + 0.05
     labels[drawn & (up > rim)] = HeadPart.HAT
+    same = seen_hair(plain, labels)  # a hat of the hair's colour is hair
+    assert same is not None and same.hat is None and (same.mask == seen.mask).all()
+    rgb[drawn & (up > rim)] = 40, 90, 200
     hatted = seen_hair(plain, labels)
     assert hatted is not None and hatted.hat is not None and abs(hatted.hat - rim) < 0.03
     assert not (hatted.mask & (up > rim + 0.01)).any()
