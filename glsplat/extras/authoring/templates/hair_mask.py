@@ -140,7 +140,8 @@ def _labelled_hair(
     """
     sizes = head.sizes
     above = near & (up > sizes.eyes)
-    if np.isin(parts[above], (HeadPart.BACKGROUND, HeadPart.CLOTH)).mean() > _MAX_UNKNOWN:
+    unknown = np.isin(parts[above], (HeadPart.BACKGROUND, HeadPart.CLOTH))
+    if unknown.sum() > _MAX_UNKNOWN * len(unknown):
         return None
     hat = above & (parts == HeadPart.HAT)
     beard = (aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02)

@@ -97,9 +97,10 @@ export class Stage {
 
   /**
    * Draw a frame for `views` [{transform, projection, viewport}] of `where` (a placing), and request the next picture,
-   * every third of `also`, a placing or null, if somebody is in sight there. `drive` and `how` {alpha, transparent, room, labels} as of `ask` and the painter; `framebuffer` null is the canvas,
-   * which `keeps` what was painted or, as in an immersive session, is cleared for each frame; `around`: the light of a
-   * room that is not ours, or null; `asks` false: request nothing; `deep`: request depths with pictures.
+   * every third of `also`, a placing or null, if somebody is in sight there. `drive` and `how` {alpha, transparent, room,
+   * labels} as of `ask` and the painter; `framebuffer` null is the canvas, which `keeps` what was painted or, as in an
+   * immersive session, is cleared for each frame; `around`: the light of a room that is not ours, or null; `asks` false:
+   * request nothing; `deep`: request depths with pictures.
    * Returns the frame_id of the request, or 0.
    */
   frame(views, where, drive, { also = null, framebuffer = null, keeps = false, alpha, transparent = false, room, around, labels = () => [], asks = true, deep = false, now }) {
