@@ -134,8 +134,6 @@ def _one(args: argparse.Namespace) -> int:
         if args.using != "builtin" and not isinstance(maker(), MeshReconstructor) and mesh:
             raise UsageError(f"--with {args.using} makes splats, no mesh: leave out --as mesh or --with")
         shots = _shots(args, show)
-        if args.using == "builtin" and not head_parts.available():
-            print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
         done: Reconstruction | MeshReconstruction | None = None
         try:
             if not args.anyway:
@@ -164,6 +162,8 @@ def _one(args: argparse.Namespace) -> int:
 
                 avatar = with_cones(avatar, progress=show)
             code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
+            if "hair" in avatar.meta.get("templates", {}) and not head_parts.available():
+                print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
     if args.mine:
         from .mine import sign_mine  # imports the server's key store
 
