@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from typing import Any
 
 import cv2
@@ -22,6 +23,7 @@ from tests.browser.vr import visit
 
 CONFIG = ServerConfig(port=0, rooms={"lab": 4})
 SIZE = (1100, 700)
+SHORT = 0.3  # seconds of a pinch that makes no step; a busy machine takes longer for one of 0.1
 TWO = (*OFFERED, AvatarInfo(name="bob", skeleton=RIG, solver=as_tracked, height=1.75, parts=frozenset({"head"})))
 MODULES = """import { Names } from './show/names.js'; import { Steps } from './track/steps.js';
 import { panelPlace } from './show/reach.js'; import { Framing } from './space/framing.js';
@@ -207,24 +209,27 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
     def head() -> Any:
         return np.array(samples[max(number for number, one in samples.items() if one.left is not None)].head[:3])
 
-    def pinch(seconds: float) -> Any:
-        """Return how far the head has moved when the pinch has ended."""
+    def pinch(seconds: float) -> tuple[Any, float]:
+        """Return how far the head has moved when the pinch has ended, and the seconds that it took at most."""
         page.page.keyboard.press("h")  # the level hand points at the floor 2 m before it
         page.meanwhile(lambda: samples[max(samples)].left[1] > 1.1)
-        before = head()
+        before, started = head(), time.monotonic()
         page.page.keyboard.down("t")
         page.wait(seconds)
         page.page.keyboard.up("t")
+        held = time.monotonic() - started
         page.wait(1.0)
         page.page.keyboard.press("h")
-        return head() - before
+        return head() - before, held
 
     page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
     page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 3) if one.room))
-    assert np.abs(pinch(2.0)).max() < 0.02  # there is Bob
+    assert np.abs(pinch(2.0)[0]).max() < 0.02  # there is Bob
     look_left(page)
-    assert np.abs(pinch(0.1)).max() < 0.02  # too short
-    by = pinch(2.0)
+    by, held = pinch(0.1)
+    if held < SHORT:
+        assert np.abs(by).max() < 0.02  # too short
+        by, held = pinch(2.0)
     assert 1.5 < by[0] < 3.5 and np.abs(by[1:]).max() < 0.6
 
 
