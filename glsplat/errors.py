@@ -87,3 +87,8 @@ class ProtocolError(GlsplatError):
         super().__init__(message)
         self.code = code
         self.frame_id = frame_id
+
+
+def one_line(error: BaseException) -> str:
+    """Return the type and the text of a foreign exception, shortened to one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

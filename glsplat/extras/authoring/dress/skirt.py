@@ -23,7 +23,6 @@ from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.view import View
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import unit_vectors
-from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 F64 = NDArray[np.float64]
@@ -160,9 +159,8 @@ def with_skirt(body: Body, bare: F64, dressed: Dressed, views: Sequence[View], h
 
 def _moved(mesh: RiggedMesh, view: View, fitted: FittedView, chosen: NDArray[np.bool_]) -> FittedView:
     """Return the view with the ``chosen`` [V] vertices at their places in the mesh."""
-    there = mesh.posed(Pose(fitted.rotations)) - mesh.skeleton.joints[0]
-    vertices = np.where(chosen[:, None], there @ fitted.root.T + fitted.pelvis, fitted.vertices)
-    return replace(fitted, vertices=vertices, pixels=projected(vertices, view.focal, view.centre)[0])
+    there = fitted.moved(mesh, chosen)
+    return replace(there, pixels=projected(there.vertices, view.focal, view.centre)[0])
 
 
 def _reach(values: F64, height: F64, top: F64) -> F64:

@@ -33,7 +33,8 @@ from glsplat.extras.authoring.fit.standing.stances import MIN_ASIDE_RAD, arm_dir
 from glsplat.extras.authoring.fit.standing.uncertainty import limb_uncertainty, missing_part
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
-from glsplat.meshes import vertex_normals
+from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 F64 = NDArray[np.float64]
@@ -59,7 +60,7 @@ _MIN_PLAIN_COSINE = 0.8  # of normal and offset; vertices below it, in an ear's 
 _FREE_M, _STAND_OFF = (
     (0.04, 0.015),
     (0.5, 0.3),
-)  # offsets kept, and of more the fraction: at the sides, before and behind
+)  # offsets kept and the fraction of more: at the sides, before and behind
 _MAX_SOLE_M = 0.020  # thickness; more would be height that the body lacks
 _ELBOW_AND_WRIST_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks
 
@@ -92,6 +93,12 @@ class FittedView:
     overlap: float  # intersection over union of the dressed surface and the mask
     landmark_error: float  # mean distance of the body's landmarks from the network's, percent of the height
     uncertainty: Mapping[str, float] = field(default_factory=dict)  # by limb, 0 to 1; see ``limb_uncertainty``
+
+    def moved(self, mesh: RiggedMesh, some: NDArray[np.bool_]) -> FittedView:
+        """Return the view with ``some`` [V] vertices where ``mesh`` has them; pixels are unchanged."""
+        there = mesh.posed(Pose(self.rotations)) - mesh.skeleton.joints[0]
+        vertices = np.where(some[:, None], there @ self.root.T + self.pelvis, self.vertices)
+        return replace(self, vertices=vertices)
 
 
 @dataclass(frozen=True, eq=False)

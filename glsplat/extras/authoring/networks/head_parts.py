@@ -37,7 +37,6 @@ class HeadPart(IntEnum):
     SKIN = 1
     LEFT_EAR = 7
     RIGHT_EAR = 8
-    NECK = 14
     CLOTH = 16
     HAIR = 17
     HAT = 18

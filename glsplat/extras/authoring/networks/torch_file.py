@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -10,7 +9,9 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError
+from glsplat.errors import FormatError, one_line
+
+from .unpickle import ListedUnpickler
 
 _TYPES: dict[str, np.dtype[Any]] = {"FloatStorage": np.dtype("<f4"), "LongStorage": np.dtype("<i8")}
 
@@ -21,11 +22,17 @@ class _Tensor(NamedTuple):
     shape: tuple[int, ...]
 
 
+_KNOWN: dict[tuple[str, str], Any] = {("torch", name): name for name in _TYPES} | {
+    ("collections", "OrderedDict"): OrderedDict,
+    ("torch._utils", "_rebuild_tensor_v2"): lambda storage, offset, shape, *_: _Tensor(storage, offset, shape),
+}
+
+
 def read_tensors(path: Path) -> dict[str, NDArray[Any]]:
     """Return the tensors by name. Raises FormatError, one line, for another file, or one that holds more."""
     try:
         with path.open("rb") as file:
-            _magic, _protocol, _system, tensors, keys = [_Unpickler(file).load() for _ in range(5)]
+            _magic, _protocol, _system, tensors, keys = [ListedUnpickler(file, _KNOWN).load() for _ in range(5)]
             types = {tensor.storage[2]: _TYPES[tensor.storage[1]] for tensor in tensors.values()}
             storages = {key: _values(file, types[key]) for key in keys}
             return {
@@ -35,24 +42,7 @@ def read_tensors(path: Path) -> dict[str, NDArray[Any]]:
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
     except Exception as error:  # a damaged pickle raises whatever its bytes happen to mean
-        line = " ".join(str(error).split())[:200]
-        raise FormatError(f"{path}: not a PyTorch checkpoint ({type(error).__name__}: {line})") from None
-
-
-class _Unpickler(pickle.Unpickler):
-    """Make tensors and dictionaries, and refuse other objects by name."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == ("collections", "OrderedDict"):
-            return OrderedDict
-        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
-            return lambda storage, offset, shape, *_: _Tensor(storage, offset, shape)
-        if module == "torch" and name in _TYPES:
-            return name
-        raise pickle.UnpicklingError(f"it names {module}.{name}")
-
-    def persistent_load(self, pid: Any) -> Any:
-        return pid
+        raise FormatError(f"{path}: not a PyTorch checkpoint ({one_line(error)})") from None
 
 
 def _values(file: BinaryIO, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -239,10 +239,8 @@ def _smooth_colours(body: Body, shots: Sequence[FittedPicture], light: Lamp, clo
     known, target = np.zeros(count), np.zeros((count, 3))
     first = shots[0]
     vertices = SurfacePoints(np.repeat(np.arange(count)[:, None], 3, axis=1), np.full((count, 3), 1 / 3))
-    material, shading = (
-        cloth.at(vertices),
-        np.where(cloth.region(vertices) == NECK, 0, _FLANK_SHADING),
-    )  # hair is no shade
+    material = cloth.at(vertices)
+    shading = np.where(cloth.region(vertices) == NECK, 0, _FLANK_SHADING)  # hair on a neck is no shade
     clothed = material.known > 0
     for shot in shots:
         trust = shot.visibility * body.skin

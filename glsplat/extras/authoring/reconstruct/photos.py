@@ -10,14 +10,13 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from glsplat.avatar import Avatar
-from glsplat.errors import GlsplatError
+from glsplat.errors import GlsplatError, one_line
 from glsplat.extras.authoring.check.photos import CheckedPhoto, PhotoSource, check_photos, refuse
 from glsplat.extras.authoring.compute.threads import one_blas_thread
 from glsplat.extras.authoring.segment.mask_file import MaskSource
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
-from .plugins import one_line
 from .reconstructor import (
     FittedBody,
     MadeAvatar,

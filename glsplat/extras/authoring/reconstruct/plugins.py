@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from glsplat.errors import GlsplatError
+from glsplat.errors import GlsplatError, one_line
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,3 @@ class Plugins:
             places = ", ".join(value for value, _ in found)
             raise GlsplatError(f'several packages have a {self.kind} "{name}" ({places}); uninstall all but one')
         return found[0][1]
-
-
-def one_line(error: BaseException) -> str:
-    """Return the text of a foreign exception, shortened to one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

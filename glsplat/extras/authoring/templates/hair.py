@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.paint.head import vertices_of
-from glsplat.extras.authoring.paint.inpaint.hair import moved_view
 from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.templates.hair_mask import SeenHair
@@ -194,7 +193,7 @@ def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHai
         share = np.where(gone & (share > 0.99), 1.0, body.neighbours @ share / degree)
     share *= body.skin
     mesh = replace(mesh, vertices=mesh.vertices + share[:, None] * (head.bare - mesh.vertices))
-    views = [moved_view(mesh, shot.view, share > 0) for shot in shots]
+    views = [shot.view.moved(mesh, share > 0) for shot in shots]
     out = tuple(
         replace(shot, mesh=mesh, view=replace(view, pixels=shot.project(view.vertices)))
         for shot, view in zip(shots, views, strict=True)

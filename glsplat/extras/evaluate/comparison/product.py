@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar
-from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.authoring.reconstruct.plugins import one_line
+from glsplat.errors import FormatError, GlsplatError, one_line
 from glsplat.extras.evaluate.comparison.method import MadeElsewhere, method_named, read_figure
 from glsplat.extras.evaluate.comparison.participant import Participant, digest_of
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh

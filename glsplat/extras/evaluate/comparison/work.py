@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.reconstruct.plugins import one_line
+from glsplat.errors import GlsplatError, one_line
 from glsplat.extras.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
 from glsplat.extras.evaluate.comparison.measure import Reference, Scores
 from glsplat.extras.evaluate.comparison.method import MadeElsewhere

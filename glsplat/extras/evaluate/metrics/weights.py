@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F32
-from glsplat.errors import FormatError
+from glsplat.errors import FormatError, one_line
+from glsplat.extras.authoring.networks.unpickle import ListedUnpickler
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,11 @@ def read_weights(path: Path, backbone: Backbone) -> Weights:
     """Return the weights in a file. Raises FormatError if some are missing, or for anything besides arrays."""
     try:
         with open(path, "rb") as file:
-            tree = _Arrays(file).load()
+            tree = ListedUnpickler(file, _KNOWN).load()
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
     except Exception as error:  # a damaged pickle may raise anything
-        raise FormatError(f"{path}: not a pickle of arrays ({type(error).__name__}: {_line(error)})") from None
+        raise FormatError(f"{path}: not a pickle of arrays ({one_line(error)})") from None
     net = f"{backbone.key}/Conv_"
     kernels, biases = [], []
     for index, (side, inside, outside) in enumerate(backbone.kernels):
@@ -104,24 +105,17 @@ def read_weights(path: Path, backbone: Backbone) -> Weights:
     return Weights(tuple(kernels), tuple(biases), tuple(heads))
 
 
-class _Arrays(pickle.Unpickler):
-    """Unpickles numpy arrays and refuses all other objects by name."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        if module in ("numpy.core.multiarray", "numpy._core.multiarray") and name == "_reconstruct":
-            return _empty
-        if (module, name) == ("numpy", "ndarray"):
-            return np.ndarray
-        if (module, name) == ("numpy", "dtype"):
-            return np.dtype
-        raise pickle.UnpicklingError(f"it names {module}.{name}")
-
-
 def _empty(kind: type, shape: tuple[int, ...], code: bytes) -> NDArray[Any]:
     """Return an empty array for ``__setstate__`` to fill, as numpy's own ``_reconstruct`` does."""
     if kind is not np.ndarray or shape != (0,):
         raise pickle.UnpicklingError("it makes something other than a plain array")
     return np.ndarray(shape, np.int8)
+
+
+_KNOWN = {(f"numpy.{core}.multiarray", "_reconstruct"): _empty for core in ("core", "_core")} | {
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): np.dtype,
+}
 
 
 def _array(tree: Any, name: str, shape: tuple[int, ...], path: Path) -> F32:
@@ -133,7 +127,3 @@ def _array(tree: Any, name: str, shape: tuple[int, ...], path: Path) -> F32:
     if not np.isfinite(tree).all():
         raise FormatError(f"{path}: {name} has values that are not finite")
     return np.ascontiguousarray(tree)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -13,8 +13,10 @@ from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit import body_fit
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
 from glsplat.extras.authoring.fit.landmarks import landmarks
+from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.solver import BodySolver
 from glsplat.extras.authoring.fit.view import View
+from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.made_up import FOCAL, SIZE, made, slope_error
 
 
@@ -39,6 +41,17 @@ def test_a_made_up_person_is_found_again() -> None:
     assert fit.problem == "" and fit.views[0].overlap > 0.97 and fit.views[0].landmark_error < 0.5
     assert errors(fit.views[0].joints, joints) < 30 and abs(fit.stature / stature - 1) < 0.02
     assert fit.rest.shape == fit.views[0].vertices.shape == open_body().vertices.shape
+
+
+def test_cloth_of_one_outline_stands_off_to_the_sides_more_than_before_and_behind() -> None:
+    body = open_body()
+    directions = offset_directions(body, body.vertices)
+    thin, thick = (body_fit._hung(body, np.full(len(directions), metres), directions) for metres in (0.01, 0.1))
+    belly = np.isin(body.part, [JOINT_NAMES.index(name) for name in ("spine1", "spine2")])
+    ahead, aside = (belly & (np.abs(directions[:, axis]) > 0.9) for axis in (2, 0))
+    assert ahead.any() and aside.any() and (thin == 0.01).all()
+    assert np.median(thick[ahead]) < 0.06 < 0.065 < np.median(thick[aside]) < 0.1
+    assert (thick[body.part == JOINT_NAMES.index("left_wrist")] == 0.1).all()
 
 
 def test_poses_that_clothes_cannot_save_are_not_dressed(monkeypatch: pytest.MonkeyPatch) -> None:

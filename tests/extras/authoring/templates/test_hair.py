@@ -10,7 +10,6 @@ import numpy as np
 
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
-from glsplat.extras.authoring.paint.inpaint.hair import moved_view
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
@@ -125,7 +124,7 @@ def test_the_head_is_bare_under_hair_that_its_outline_followed() -> None:
     head, skull = hair.head, hair.head.skull
     swollen = np.where(skull[:, None], head.middle + 1.5 * (head.bare - head.middle), shot.mesh.vertices)
     mesh = replace(shot.mesh, vertices=swollen)
-    shot = replace(shot, mesh=mesh, view=moved_view(mesh, shot.view, skull))
+    shot = replace(shot, mesh=mesh, view=shot.view.moved(mesh, skull))
     bare, (made,) = bared(hair, (shot,))
     behind = skull & ~face_vertices(head.body)
     assert bare.head.shot is made and np.allclose(made.mesh.vertices[behind], head.bare[behind], atol=1e-6)

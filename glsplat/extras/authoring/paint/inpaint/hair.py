@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.fit.body_fit import FittedView
 from glsplat.extras.authoring.paint.head import back_of_head, vertices_of
 from glsplat.extras.authoring.paint.lamp import Lamp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.meshes import RiggedMesh
-from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
 
 F64 = NDArray[np.float64]
@@ -65,10 +62,4 @@ def with_hair(body: Body, shots: tuple[FittedPicture, ...]) -> tuple[FittedPictu
     moved = rest.copy()
     moved[:, 2] += back
     mesh = replace(front.mesh, vertices=moved)
-    return tuple(shot.without_view_of(mesh, moved_view(mesh, shot.view, back < 0)) for shot in shots)
-
-
-def moved_view(mesh: RiggedMesh, view: FittedView, some: NDArray[np.bool_]) -> FittedView:
-    """Return the view with ``some`` [V] vertices where the mesh has them; their pixels, hidden, are unchanged."""
-    there = mesh.posed(Pose(view.rotations)) - mesh.skeleton.joints[0]
-    return replace(view, vertices=np.where(some[:, None], there @ view.root.T + view.pelvis, view.vertices))
+    return tuple(shot.without_view_of(mesh, shot.view.moved(mesh, back < 0)) for shot in shots)

@@ -102,11 +102,8 @@ def tailoring_of(mesh: RiggedMesh, cloth: Cloth, trousers: bool) -> Tailoring:
         if not len(low) and trousers:  # a shirt of the trousers' colour ends where this changes most, or at the hips
             some = 2 + np.flatnonzero((trunk.places[2:-2] > waist) & (trunk.places[2:-2] < waist + _WAIST_M))
             change = lengths(trunk.colour[some + 2] - trunk.colour[some - 2])
-            low = (
-                trunk.places[some[[change.argmax()]]]
-                if change.max(initial=0) > _MIN_WAIST_CHANGE
-                else np.array([waist])
-            )
+            clear = change.max(initial=0) > _MIN_WAIST_CHANGE
+            low = trunk.places[some[[change.argmax()]]] if clear else np.array([waist])
             hems[TRUNK] = np.append(hems[TRUNK], low)
         waist = float(low.min()) if len(low) else waist
         if neck is not None and lengths(neck.colour[:1] - trunk.colour[-1:])[0] > SAME_COLOUR_DISTANCE:

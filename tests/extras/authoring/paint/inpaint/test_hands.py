@@ -24,7 +24,9 @@ BODY = open_body()
 LEFT, RIGHT = (joint_weights(BODY, side, *HANDS) > 0.75 for side in ("left", "right"))
 
 
-@pytest.mark.parametrize(("left", "right", "wanted"), [(SKIN, WHITE, SKIN), (GREEN, 0.8 * GREEN, GREEN)])
+@pytest.mark.parametrize(
+    ("left", "right", "wanted"), [(SKIN, WHITE, SKIN), (GREEN, 0.8 * GREEN, GREEN), (0.4 * SKIN, 0.4 * SKIN, SKIN)]
+)
 def test_hands_have_the_tone_of_skin_unless_both_wear_gloves(
     left: np.ndarray, right: np.ndarray, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
