@@ -25,7 +25,7 @@ _INPUT_PX = 512  # side of the network's input
 _MEAN, _DEVIATION = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])  # of the training pictures
 _NORM_EPSILON = 1e-5
 _MIN_PRESENCE = 0.5  # of a face
-_CROP_FACES, _CROP_DOWN = 2.7, 0.1  # side of the input, and how much lower than the face it lies, of the face's
+_CROP_FACES, _CROP_DOWN = 2.7, 0.1  # of the face: side of the input, and its shift down
 
 _lock = Lock()  # a network of OpenCV serves one thread at a time
 

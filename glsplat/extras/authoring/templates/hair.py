@@ -176,9 +176,10 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
 
 
 def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHair, tuple[FittedPicture, ...]]:
-    """Return the pictures with the bare head and neck under the hair, whose outline they had, and the hair on them.
+    """Give head and neck under the hair the bare body's shape; return the hair and the pictures of that body.
 
-    The face stays but where hair covers it and swelled it, and so does what is under a hat.
+    The fit had drawn them out to the hair's outline. A face moves only where hair covers it and its fit bulges; what is
+    under a hat stays.
     """
     head, mesh = hair.head, shots[0].mesh
     body, beside = head.body, _grown(head, hair.seen.mask, _NECK_REACH_M)

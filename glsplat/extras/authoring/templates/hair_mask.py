@@ -27,10 +27,10 @@ _MIN_HAT = 20.0  # between a hat and the hair below it
 _MAX_LIGHTER = 40.0  # of hair beside the face than this, in lightness: more is a hand or the room beside a dark mask
 _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
-_OUTSIDE_BONUS = 8.0  # beside the bare head little is not hair
+_OUTSIDE_BONUS = 8.0  # in CIELAB; what stands out beside the bare head is probably hair
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
 _MIN_PIXELS = 60  # of a lock
-# of what is above the eyes: labels that no head has; a hat; hair of a head that is not bald
+# of the pixels above the eyes: those labelled room or cloth, at most; a hat's and hair's, at least
 _MAX_UNKNOWN, _MIN_HAT_FRACTION, _MIN_HAIR_FRACTION = 0.25, 0.2, 0.08
 _BESIDE_HEADS = 1.3  # of the head's height, to both sides, that is searched
 _BELOW_HEADS = 2.2  # below the chin
@@ -134,9 +134,10 @@ def _labelled_hair(
     aside: NDArray[np.floating],
     up: NDArray[np.floating],
 ) -> tuple[Bools, float | None] | None:
-    """Return hair and the rim of a hat as the network sees them; None where it sees none, or what no head has.
+    """Return the mask of hair [h, w] and the height of a hat's rim, both by the labels ``parts`` of a network.
 
-    ``main`` are the chest's colours: between locks cloth shows, and dark hair on a dark collar is taken for cloth.
+    None if they show no hair, or room and cloth where the skull is. ``main`` are the chest's colours: cloth between
+    locks is no hair, and hair that is labelled as a collar is.
     """
     sizes = head.sizes
     above = near & (up > sizes.eyes)

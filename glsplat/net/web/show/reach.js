@@ -36,7 +36,7 @@ export function panelPlace(where, head, sample, others = []) {
   return hung(add(add(eye, scale(ahead, BEFORE.ahead)), aside), BEFORE.width);
 }
 
-/** A point for a panel so wide, turned to the left about an eye as far as it covers least of the bodies under these heads. */
+/** Turn a panel's point to the left about the eye, to where a panel of that width covers least of the bodies under these heads. */
 function clearOf(others, eye, point, width) {
   const from = ([x, , z]) => [x - eye[0], z - eye[2]];
   const [px, pz] = from(point);
