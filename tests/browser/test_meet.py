@@ -109,7 +109,8 @@ def test_a_room_is_as_sharp_as_the_same_view_alone(open_page: OpenPage, served: 
         return any(density(one) >= 0.98 * wanted and len(one.cameras) == 2 for one in met(mirror)[-1:])
 
     page.meanwhile(lambda: sharp(mirror=False))
-    assert not met(mirror=True)  # it is not in sight
+    # it is not in sight: once the head has turned to the others no picture is of it, where every third would be
+    page.meanwhile(lambda: len(last := jobs(served, 3)[-6:]) == 6 and not any(map(mirrored, last)))
     look_left(page)
     page.meanwhile(lambda: sharp(mirror=True))
     page.page.keyboard.press("v")  # one eye sees 57 degrees to both sides
@@ -210,7 +211,7 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
         return np.array(samples[max(number for number, one in samples.items() if one.left is not None)].head[:3])
 
     def pinch(seconds: float) -> tuple[Any, float]:
-        """Return how far the head has moved when the pinch has ended, and the seconds that it took at most."""
+        """Return where the head was before, and the seconds that the pinch took at most."""
         page.page.keyboard.press("h")  # the level hand points at the floor 2 m before it
         page.meanwhile(lambda: samples[max(samples)].left[1] > 1.1)
         before, started = head(), time.monotonic()
@@ -220,17 +221,21 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
         held = time.monotonic() - started
         page.wait(1.0)
         page.page.keyboard.press("h")
-        return head() - before, held
+        return before, held
 
     page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
     page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 3) if one.room))
-    assert np.abs(pinch(2.0)[0]).max() < 0.02  # there is Bob
+    before, _ = pinch(2.0)
+    assert np.abs(head() - before).max() < 0.02  # there is Bob
     look_left(page)
-    by, held = pinch(0.1)
+    before, held = pinch(0.1)
     if held < SHORT:
-        assert np.abs(by).max() < 0.02  # too short
-        by, held = pinch(2.0)
-    assert 1.5 < by[0] < 3.5 and np.abs(by[1:]).max() < 0.6
+        assert np.abs(head() - before).max() < 0.02  # too short
+    if head()[0] - before[0] < 1:  # a busy page may have met both ends of a long pinch at once
+        before, _ = pinch(2.0)
+    page.meanwhile(lambda: head()[0] - before[0] > 1.5)
+    by = head() - before
+    assert by[0] < 3.5 and np.abs(by[1:]).max() < 0.6
 
 
 def company(text: str) -> str:
