@@ -34,14 +34,14 @@ class Markers:
         self._places = places
         self._radius = radius
         self.delay = delay
-        self.requests: dict[int, RenderJob] = {}
+        self.requests: list[RenderJob] = []
 
     def open(self) -> str:
         return "blobs"
 
     def render(self, request: RenderJob) -> Rendered:
         end = time.monotonic() + self.delay
-        self.requests[request.frame_id or 0] = request
+        self.requests.append(request)
         camera = request.cameras[0]
         images = np.zeros((len(request.cameras), camera.height, camera.width, 4), np.uint8)
         for eye, camera in enumerate(request.cameras):
@@ -51,6 +51,10 @@ class Markers:
         return Rendered(images, {"total": 0.0})
 
     def close(self) -> None: ...
+
+    def asked(self, frame_id: int) -> RenderJob:
+        """Return the newest request of that number, which each connection counts by itself."""
+        return next(one for one in reversed(self.requests) if one.frame_id == frame_id)
 
 
 def draw_blob(

@@ -47,7 +47,7 @@ def sent(page: Opened, backend: Markers) -> Light | None:
     """The light of a request that was sent from now on; the flat page's frames come by themselves."""
     before = page.stats()["sentId"]
     page.until(f"window.glsplat.stats().shownId > {before}")
-    return backend.requests[page.stats()["shownId"]].options.light
+    return backend.asked(page.stats()["shownId"]).options.light
 
 
 def test_a_place_lights_as_its_walls_are_lit(chromium: Any) -> None:
@@ -106,7 +106,7 @@ def test_in_vr_it_comes_from_where_the_place_has_it(open_page: OpenPage, serve: 
     for view, wanted in (("mirror", place), ("facing", place.turned(np.diag([-1.0, 1, -1])))):
         page.page.select_option("#view", view)
         fresh(page)
-        found = backend.requests[page.stats()["shownId"]].options.light
+        found = backend.asked(page.stats()["shownId"]).options.light
         assert found is not None and np.abs(lit(found) - lit(wanted)).max() < 1e-3
 
 
@@ -128,7 +128,7 @@ def test_in_passthrough_it_is_that_of_the_room_around(open_page: OpenPage, serve
 
     def asked() -> Light | None:
         fresh(page)
-        return backend.requests[page.stats()["shownId"]].options.light
+        return backend.asked(page.stats()["shownId"]).options.light
 
     found = asked()
     wanted = around.turned(rotation(probe[3:]))

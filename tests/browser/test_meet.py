@@ -47,7 +47,7 @@ def served(serve: Any) -> Any:
 
 def jobs(served: Any, viewer: int | None = None) -> list[RenderJob]:
     """The pictures asked for so far, of one person of the room or of who is alone."""
-    found = list(served.server.drawer.worker._backend.requests.values())
+    found = served.server.drawer.worker._backend.requests
     return [one for one in found if (None if one.room is None else one.room.viewer) == viewer]
 
 
@@ -208,7 +208,7 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
     page = enter_emulated(open_page, served, "?room=lab&name=Ann")
 
     def head() -> Any:
-        return np.array(samples[max(number for number, one in samples.items() if one.left is not None)].head[:3])
+        return np.array(samples[max(number for number, one in list(samples.items()) if one.left is not None)].head[:3])
 
     def pinch(seconds: float) -> tuple[Any, float]:
         """Return where the head was before, and the seconds that the pinch took at most."""
@@ -223,7 +223,7 @@ def test_a_pinch_that_is_held_steps_to_the_floor_but_not_into_another(open_page:
         page.page.keyboard.press("h")
         return before, held
 
-    page.meanwhile(lambda: any(one.left is not None for one in samples.values()))
+    page.meanwhile(lambda: any(one.left is not None for one in list(samples.values())))
     page.meanwhile(lambda: any(len(one.room.people) == 2 for one in jobs(served, 3) if one.room))
     before, _ = pinch(2.0)
     assert np.abs(head() - before).max() < 0.02  # there is Bob

@@ -145,6 +145,5 @@ def test_in_vr_the_room_is_around_its_user(open_page: OpenPage, served: Any) -> 
     seen = see(page)
     for side in ("left", "right"):
         assert np.linalg.norm(centroid(seen[side], "red") - project(seen["eyes"][side], expected)) < 3
-    requests = served.server.drawer.worker._backend.requests
-    request = requests[max(requests)]
+    request = served.server.drawer.worker._backend.requests[-1]
     assert request.options.hide == ("head",) and request.room is not None and request.room.room == "lab"

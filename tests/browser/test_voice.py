@@ -201,7 +201,7 @@ def test_who_speaks_moves_the_mouth_and_only_weights_leave(open_page: OpenPage, 
         return page.js("document.querySelector('#voice').textContent")
 
     def said() -> dict[str, float]:
-        newest = backend.requests[max(backend.requests)]
+        newest = backend.requests[-1]
         return {} if newest.pose is None else dict(newest.pose.expression)
 
     page.until("document.querySelector('#voice')")

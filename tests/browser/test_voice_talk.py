@@ -203,7 +203,7 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
     assert lab.stats()["talk"] == signals and signals["bytes"] < 20_000
 
     def jaw() -> float:  # Ann's, in Bob's pictures
-        jobs = [one for one in backend.requests.values() if one.room is not None and one.room.viewer == 2]
+        jobs = [one for one in backend.requests if one.room is not None and one.room.viewer == 2]
         poses = [one.pose for job in jobs[-1:] if job.room is not None for one in job.room.people if one.name == "Ann"]
         return max((dict(pose.expression).get("jawOpen", 0.0) for pose in poses if pose is not None), default=0.0)
 
@@ -211,9 +211,9 @@ def test_two_pages_hear_each_other_and_the_server_no_sound(member: Any, lab: Ser
     click(ann, "voice-mute")
     bob.meanwhile(lambda: jaw() == 0 and bob.js("heard()") < 1e-3, PATIENCE_S)  # ... and closed together with it
     # Ann's head, from Bob's camera: across the room's middle, 2.4 m from his place
-    seen: RenderJob = backend.requests[max(backend.requests)]
+    seen: RenderJob = backend.requests[-1]
     place = bob.js("((one) => [one.positionX, one.positionY, one.positionZ].map(({ value }) => value))(voices.at(-1))")
-    jobs = [one for one in backend.requests.values() if one.room is not None and one.room.viewer == 2]
+    jobs = [one for one in backend.requests if one.room is not None and one.room.viewer == 2]
     assert seen.room is not None and jobs[-1].room is not None
     eye = jobs[-1].cameras[0].viewmat  # room to camera, y down, z ahead
     person = next(one for one in jobs[-1].room.people if one.name == "Ann")

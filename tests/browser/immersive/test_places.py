@@ -141,7 +141,7 @@ def test_a_late_picture_stands_still_while_the_head_turns(open_page: OpenPage, s
         backend.last = backend.begun
         page.until(f"(() => {{ fakeXR.step(); return window.glsplat.stats().shownId >= {backend.last}; }})()")
         seen = see(page)
-        request = backend.requests[seen["stats"]["shownId"]]
+        request = backend.asked(seen["stats"]["shownId"])
         for side, camera in zip(SIDES, request.cameras, strict=True):
             eye = seen["eyes"][side]
             expected = project(eye, target, pixels)
