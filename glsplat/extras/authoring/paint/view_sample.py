@@ -83,7 +83,7 @@ class FittedPicture:
     def without_view_of(self, mesh: RiggedMesh, view: FittedView) -> FittedPicture:
         """Return this picture with a ``mesh`` that differs only where the picture does not show it."""
         other = replace(self, mesh=mesh, view=view)
-        kept = ("visibility", "normals", "visible", "picture_layers")
+        kept = ("visibility", "facing", "normals", "visible", "picture_layers")
         vars(other).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return other
 
@@ -123,9 +123,12 @@ class FittedPicture:
     @locked_cached_property
     def visibility(self) -> F64:
         """[V] visibility of the vertices."""
-        pixels, layer = self.view.pixels, self.layer
-        facing = self._facing(self.view.vertices, self.normals, pixels, layer, *_VISIBILITY_COSINES)
-        return self.shows_layer(pixels, layer) * facing
+        return self.shows_layer(self.view.pixels, self.layer) * self.facing
+
+    @locked_cached_property
+    def facing(self) -> F64:
+        """[V] from 0, turned away or hidden by its own layer, to 1; known without the picture's own layers."""
+        return self._facing(self.view.vertices, self.normals, self.view.pixels, self.layer, *_VISIBILITY_COSINES)
 
     @locked_cached_property
     def unused(self) -> F64:
@@ -201,7 +204,7 @@ class FittedPicture:
         """
         if self.segment is None:
             return np.zeros(len(pixels), bool)
-        return np.isfinite(self._nearest_pixel([self.picture_layers.layers[0].depth], pixels, None, COARSE))
+        return np.isfinite(self._nearest_pixel([self.picture_layers.depths[0]], pixels, None, COARSE))
 
     def _scaled_pixels(self, pixels: F64, scale: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return rows and columns of pixels in a picture scaled by ``scale``."""
@@ -234,6 +237,6 @@ class FittedPicture:
         """Return [M] from 0, turned away or hidden by its own layer, to 1."""
         height, width = self.mask.shape
         inside = ((pixels >= 0) & (pixels < (width // COARSE * COARSE, height // COARSE * COARSE))).all(axis=1)
-        nearest = self._nearest_pixel([each.depth for each in self.picture_layers.layers], pixels, layer, COARSE)
+        nearest = self._nearest_pixel(self.picture_layers.depths, pixels, layer, COARSE)
         facing = -component_sums(normals * where) / lengths(where)
         return np.where(inside & (where[:, 2] < nearest + _DEPTH_TOLERANCE_M), smoothstep(facing, low, high), 0.0)

@@ -12,7 +12,7 @@ from scipy.cluster.vq import kmeans2
 from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
-from glsplat.extras.authoring.templates.head_view import HeadView
+from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.pictures import to_linear, to_srgb
 
 F64 = NDArray[np.float64]
@@ -189,8 +189,12 @@ def _box(head: HeadView) -> tuple[slice, slice]:
 
 
 def _vertex_pixels(head: HeadView, some: Bools, box: tuple[slice, slice]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns in ``box`` of the clearly visible vertices ``some`` [V]."""
-    pixels = head.shot.view.pixels[some & (head.shot.visibility > 0.5)]
+    """Return rows and columns in ``box`` of the vertices ``some`` [V] on the person that clearly face the camera.
+
+    An arm may hide them: labels of the picture's layers would take a second.
+    """
+    shot = head.shot
+    pixels = shot.view.pixels[some & (shot.facing > 0.5) & value_at(shot.mask, shot.view.pixels)]
     row, column = pixels[:, 1].astype(np.intp) - box[0].start, pixels[:, 0].astype(np.intp) - box[1].start
     inside = (row >= 0) & (column >= 0) & (row < box[0].stop - box[0].start) & (column < box[1].stop - box[1].start)
     return row[inside], column[inside]

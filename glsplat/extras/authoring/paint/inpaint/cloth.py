@@ -31,6 +31,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     rows_of,
     tolerance_of,
     without_mixed_rows,
+    without_unseen_edges,
 )
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.skin_tone import lab
@@ -206,18 +207,19 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         these = rows_of(axis, ends, at, look[taken], weight[taken], _ROW_REACH_M)
         if these is None:
             return None
+        x, y = where[taken, 0], where[taken, 1]
+        across = y if axis == 0 else x if other is None else np.abs(x)
         if number in _CLOTHED:
             below = (number != TRUNK) | (at < armpit)  # above the armpits cloth and skin mix
             row = ((at - these.first) / ROW_M).round().astype(np.intp).clip(0, len(these.colour) - 1)[below]
-            x, y = where[taken, 0], where[taken, 1]
-            across = y if axis == 0 else x if other is None else np.abs(x)
             pattern = goes_around(these.colour, row, across[below], look[taken][below], weight[taken][below])
             if number != TRUNK and skin is not None:  # bare knees and elbows are no pattern
                 least = NECKLINE_DISTANCE if number in SLEEVES else _SKIN_DISTANCE
                 pattern &= np.linalg.norm(these.colour - skin, axis=1) > least
             these = replace(these, pattern=pattern)
         if number != TRUNK:
-            return without_mixed_rows(these)
+            plain = without_mixed_rows(these)
+            return without_unseen_edges(plain, at, across, look[taken]) if number in _BODY else plain
         sides = rows_of(axis, ends, at, look[taken], weight[taken] * (share[taken] > _FLANK), _ROW_REACH_M)
         return without_mixed_rows(these, None if sides is None else sides.colour)
 

@@ -28,6 +28,9 @@ SAME_COLOUR_DISTANCE = 0.15
 _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
 _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
+_EDGE_ROWS, _STRIP_M = 4, 0.03  # compared on each side of an edge; strips along the limb in which it has to be seen
+_MIN_STRIP_SAMPLES, _MIN_EDGE_SHARE = 6, 0.5  # of the rows' difference, for the median strip
+_SOFT_ROWS = 9  # over which the colours of rows without an edge in the picture turn
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 
 
@@ -116,6 +119,42 @@ def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
             end = mean if flanks is None else flanks[row]
             colour[row] = mean if np.linalg.norm(end - mean) < np.linalg.norm(end - own) else own
     return replace(rows, colour=colour, outer=colour)
+
+
+def without_unseen_edges(rows: Rows, at: F64, across: F64, look: F64) -> Rows:
+    """Return the rows with soft turns where their main colours change at once but the picture's do not.
+
+    Light that comes from one side and falls off down a leg does that, at no change of hue. Samples [K] of colour
+    ``look`` [K, 3] are ``at`` metres along the limb and ``across`` it.
+    """
+    colour, count = rows.colour, len(rows.colour)
+    strip = np.floor(across / _STRIP_M).astype(np.intp)
+    row = np.round((at - rows.first) / ROW_M).astype(np.intp)
+    change = np.full(count, np.nan)  # of the median strip; NaN where the main colour does not change
+    for middle in range(_EDGE_ROWS, count - _EDGE_ROWS):
+        below, above = colour[[middle - _EDGE_ROWS, middle + _EDGE_ROWS]]
+        step, (dark, bright) = above - below, sorted((below, above), key=np.sum)
+        if np.linalg.norm(step) < SAME_COLOUR_DISTANCE or unlike(dark[None], bright[None], 1.0)[0] > _TONE_DISTANCE:
+            continue
+        away = row - middle
+        sides = [np.flatnonzero((side * away > 0) & (side * away <= _EDGE_ROWS)) for side in (-1, 1)]
+        changes: list[float] = []
+        for number in np.unique(strip[sides[0]]):
+            low, high = (look[side[strip[side] == number]] for side in sides)
+            if min(len(low), len(high)) >= _MIN_STRIP_SAMPLES:
+                changes.append((high.mean(axis=0) - low.mean(axis=0)) @ step / (step @ step))
+        change[middle] = np.median(changes) if changes else 0.0
+    soft = np.zeros(count, bool)
+    for edge in np.split(np.arange(count), np.flatnonzero(np.diff(np.isnan(change))) + 1):
+        soft[edge] = change[edge].max() < _MIN_EDGE_SHARE and not rows.pattern[edge].any()
+    if not soft.any():
+        return rows
+    around = np.ones(2 * _SOFT_ROWS + 1)
+    padded = np.pad(colour, ((_SOFT_ROWS, _SOFT_ROWS), (0, 0)), mode="edge")
+    smooth = np.stack([np.convolve(padded[:, k], around / len(around), mode="valid") for k in range(3)], axis=1)
+    away = np.abs(np.arange(count)[:, None] - np.flatnonzero(soft)).min(axis=1)
+    mixed = np.where((away <= _SOFT_ROWS + _EDGE_ROWS)[:, None], smooth, colour)
+    return replace(rows, colour=mixed, outer=np.where(rows.outer == colour, mixed, rows.outer))
 
 
 def in_one_tone(parts: Sequence[Rows]) -> list[Rows]:

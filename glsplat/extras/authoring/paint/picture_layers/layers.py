@@ -50,7 +50,6 @@ class Layer:
     """A picture of one layer of the body."""
 
     picture: NDArray[np.float32]  # [H, W, 3] linear light, continued beyond the layer's own pixels
-    depth: NDArray[np.float32]  # [H / 2, W / 2] camera z of its nearest surface, infinite without any
     known: NDArray[np.float32]  # [H, W] 1 where a pixel shows it
     far: NDArray[np.float32]  # [H, W] distance in pixels to the source of the colour
 
@@ -134,20 +133,20 @@ class PictureLayers:
         if not inner.any():
             inner = self.mask
         if self.segment is None:
-            return [self._layer_of(inner, np.ones(self.mask.shape, np.float32), self.mesh.faces)]
+            return [self._layer_of(inner, np.ones(self.mask.shape, np.float32))]
 
         def extract(number: int) -> Layer:
             other = self.mask & (self.label != number) if number == 0 else self.label != number
             near = disc(max(1, round(_ARM_RIM_FRACTIONS[min(number, 1)] * self.height)))
             own = inner & ~(cv2.dilate(other.astype(np.uint8), near) > 0)
             known = cv2.GaussianBlur(own.astype(np.float32), (0, 0), _EDGE_SIGMA_PX)
-            layer = self._layer_of(own if own.sum() > _MIN_LAYER_PX else inner, known, self._faces(number))
+            layer = self._layer_of(own if own.sum() > _MIN_LAYER_PX else inner, known)
             if number == 0:
                 hole = self.label != 0
                 layer = replace(layer, picture=np.minimum(layer.picture * self._shadow_gain[..., None], 1))
                 filled = fill_hole(layer.picture, inner & ~hole & (layer.known > _MIN_KNOWN), hole, self.height)
                 layer = replace(layer, picture=filled, far=np.zeros_like(layer.far))
-            covered = cv2.resize(layer.depth, inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            covered = cv2.resize(self.depths[number], inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
             known = inner & (layer.known > _MIN_KNOWN)
             picture = continue_cloth(layer.picture, known, np.isfinite(covered), self.label, number)
             carried = np.where((picture == layer.picture).all(axis=2), layer.far, np.float32(0))
@@ -155,16 +154,26 @@ class PictureLayers:
 
         return map_threads(extract, range(LAYER_COUNT))
 
-    def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32], faces: NDArray[np.int32]) -> Layer:
+    def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32]) -> Layer:
         nearest, row, column = nearest_known_labels(own)
         picture = linear_light(self.rgb[row, column])[nearest]
         pixel = np.indices(own.shape, np.int32)
         far = np.hypot(row[nearest] - pixel[0], column[nearest] - pixel[1]).astype(np.float32)
+        return Layer(picture, known, far)
+
+    @locked_cached_property
+    def depths(self) -> list[NDArray[np.float32]]:
+        """[H / 2, W / 2] of each layer the camera z of its nearest surface, infinite without any."""
+        if self.segment is None:
+            return [self._depth_of(self.mesh.faces)]
+        return map_threads(lambda number: self._depth_of(self._faces(number)), range(LAYER_COUNT))
+
+    def _depth_of(self, faces: NDArray[np.int32]) -> NDArray[np.float32]:
         ids, bary = self._rasterize(faces, 1 / COARSE)
         depth = np.full(ids.shape, np.inf, np.float32)
         hit = ids >= 0
         depth[hit] = component_sums(bary[hit] * self.view.vertices[faces[ids[hit]], 2])
-        return Layer(picture, depth, known, far)
+        return depth
 
     def _rasterize(self, faces: NDArray[np.int32], scale: float) -> tuple[NDArray[np.int64], F64]:
         return rasterize(self.mesh, self.view.vertices, self.focal, self.mask.shape, faces, scale)

@@ -10,7 +10,13 @@ import pytest
 from glsplat.extras.authoring.body.segments import trunk_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, match_to_front
-from glsplat.extras.authoring.paint.inpaint.rows import Rows, in_one_tone, without_mixed_rows
+from glsplat.extras.authoring.paint.inpaint.rows import (
+    Rows,
+    in_one_tone,
+    rows_of,
+    without_mixed_rows,
+    without_unseen_edges,
+)
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
 from glsplat.extras.authoring.paint.painter import Painter, painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -119,6 +125,25 @@ def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:
     assert np.allclose(rows.colour[40:], colour[40:])
     assert (rows.tolerance >= np.abs(rows.colour - colour).max(axis=1)).all()  # what was its cloth still is
     assert in_one_tone([]) == []  # a neck that no picture shows
+
+
+def test_light_that_leaves_a_leg_aslant_is_no_hem() -> None:
+    """The lit colour has most of the upper rows, the dark one of the lower: the main colour turns at once."""
+    across, at = (each.ravel() for each in np.meshgrid(np.linspace(-0.07, 0.07, 60), np.linspace(0, 0.6, 400)))
+
+    def steps(lit: np.ndarray) -> tuple[float, float]:
+        """Return the largest step between two rows, before and after."""
+        look = np.where(lit, 0.6, 0.15)[:, None] * np.ones(3)
+        rows = rows_of(1, (0.0, 0.6), at, look, np.ones(len(at)), 0.0125)
+        assert rows is not None
+        soft = without_unseen_edges(rows, at, across, look)
+        before, after = (float(np.abs(np.diff(each.colour[:, 0])).max()) for each in (rows, soft))
+        return before, after
+
+    before, after = steps(across < 0.14 * (at / 0.6 - 0.5))
+    assert before > 0.2 and after < 0.05
+    before, after = steps(at > 0.3)  # a dark boot below a leg of the same hue
+    assert before > 0.2 and after == before
 
 
 def test_lettering_is_no_band_and_stripes_and_belts_are() -> None:
