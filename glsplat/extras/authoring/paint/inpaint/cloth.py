@@ -30,6 +30,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     main_colour,
     rows_of,
     tolerance_of,
+    with_pattern_above,
     without_mixed_rows,
     without_unseen_edges,
 )
@@ -70,7 +71,7 @@ _MIN_SKIN_CHROMA = 4.5  # CIELAB
 _FACE_QUANTILES = 0.5, 0.9  # of a face's brightness
 _MIN_STRAP_FRACTION = 0.1  # of a row on the shoulders that is cloth
 _MIN_BARE_FRACTION = 0.15  # of a row on the shoulders that is skin beside a strap
-_ARMPIT_BELOW_SHOULDER_M, _COLLAR_M = 0.07, 0.03  # below the shoulder joints; above the neck's, behind
+_ARMPIT_BELOW_SHOULDER_M, _COLLAR_M = 0.07, 0.01  # below the shoulder joints; above the neck's, behind
 _CHEST_M = 0.25  # below the armpits, where the upper garment's colour is taken from
 _STRAP_QUANTILE = 0.95  # of its samples' distances from the middle: a strap's edge
 _FOREIGN_TOLERANCES = 1.5, 3.0  # from a material's colour: perhaps and surely foreign
@@ -235,7 +236,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
     if neck is not None and skin is not None:
         rows[NECK] = _clean_neck(neck, skin)
     if trunk is not None and skin is not None:
-        rows[TRUNK] = _cover_shoulders(trunk, where[here], look[here], visibility[here], skin, armpit)
+        trunk = _cover_shoulders(trunk, where[here], look[here], visibility[here], skin, armpit)
+    rows[TRUNK] = None if trunk is None else with_pattern_above(trunk, armpit, _CHEST_M)
     for number in SLEEVES:
         sleeve, trunk = rows[number], rows[TRUNK]
         if sleeve is not None and trunk is not None and skin is not None:

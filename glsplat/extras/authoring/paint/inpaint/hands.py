@@ -23,6 +23,7 @@ F64 = NDArray[np.float64]
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40
 _TEXTURE_RANGE = 0.4, 1.8  # of the texture over its median
 _MIN_BRIGHTNESS = 0.75  # of a hand's tone, over the face's
+_SHADES = 0.75, 1.6  # of the light on hands, over the face's: they turn as they are posed
 _HUE_FRACTION, _CONTRAST = 0.2, 1.7  # of the texture's own hue (red palms and knuckles), and exponent
 
 
@@ -31,7 +32,7 @@ class Hands:
     """Colours of bare hands or gloves; ``hands_of`` makes one."""
 
     share: F64  # [V] 0 on arms, 1 on hands
-    colour: F64  # [V, 3] linear, in the face's light: hands turn as they are posed
+    colour: F64  # [V, 3] linear, in the picture's light
 
     def over(self, points: SurfacePoints, linear: F64) -> F64:
         """Return ``linear`` colours [M, 3] with hands over them."""
@@ -69,7 +70,9 @@ def hands_of(body: Body, shot: FittedPicture, light: Lamp, texture: NDArray[np.u
         share += part
         half = body.vertices[:, 0] * body.vertices[part > 0, 0].mean() > 0  # also beyond the wrist: colours are mixed
         colour[half] = (tone * detail)[half]
-    return Hands(share, colour * np.median(light.shade(shot.normals[face_vertices(body)])))
+    shade = light.shade(shot.normals)
+    usual = float(np.median(shade[face_vertices(body)]))
+    return Hands(share, colour * shade.clip(_SHADES[0] * usual, _SHADES[1] * usual)[:, None])
 
 
 def _tone(shot: FittedPicture, light: Lamp, some: NDArray[np.bool_]) -> F64 | None:

@@ -121,6 +121,17 @@ def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
     return replace(rows, colour=colour, outer=colour)
 
 
+def with_pattern_above(rows: Rows, place: float, reach: float) -> Rows:
+    """Return the rows with a pattern from ``place`` on if most within ``reach`` below it have one; both in metres.
+
+    A neckline hides a pattern, and a row in which one of its colours prevails looks plain.
+    """
+    chest = rows.pattern[(rows.places > place - reach) & (rows.places < place)]
+    if not len(chest) or chest.mean() <= 0.5:
+        return rows
+    return replace(rows, pattern=rows.pattern | (rows.places >= place - reach))
+
+
 def without_unseen_edges(rows: Rows, at: F64, across: F64, look: F64) -> Rows:
     """Return the rows with soft turns where their main colours change at once but the picture's do not.
 

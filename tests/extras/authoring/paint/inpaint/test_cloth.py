@@ -14,6 +14,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     Rows,
     in_one_tone,
     rows_of,
+    with_pattern_above,
     without_mixed_rows,
     without_unseen_edges,
 )
@@ -114,6 +115,17 @@ def test_a_pattern_goes_on_at_its_scale_around_the_flank() -> None:
     deep, wide = np.ptp(rest[flank, 2]), np.ptp(there[flank, 0])
     assert wide > 0.3 * deep, (wide, deep)  # straight through the body it would be one smeared column
     assert np.abs(there[flank, 1] - rest[flank, 1]).max() < 0.01
+
+
+def test_a_pattern_of_most_of_a_chest_goes_on_above_it() -> None:
+    flat, pattern = np.zeros(40), np.arange(40) < 27
+
+    def above(place: float) -> np.ndarray:
+        colour = np.zeros((40, 3))
+        return with_pattern_above(Rows(1, 0.0, colour, flat, colour, flat, pattern), place, 0.1).pattern
+
+    assert above(0.305).all()  # seven of ten rows below it
+    assert np.array_equal(above(0.335), pattern)  # four
 
 
 def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:

@@ -8,6 +8,7 @@ import pytest
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.segments import HANDS, joint_weights
 from glsplat.extras.authoring.fit.eyes import eyeball
+from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.hands import hands_of
 from glsplat.extras.authoring.paint.painter import painter_of
@@ -62,6 +63,15 @@ def test_hands_below_long_sleeves_have_the_tone_of_the_face(monkeypatch: pytest.
     assert face is not None
     for hand in (LEFT, RIGHT):
         assert likeness(np.median(hands.colour[hand], axis=0)[None], face[None])[0] > 0.8
+
+
+def test_hands_are_lit_as_the_arms_are() -> None:
+    shot = (scene := photographed("front")).shots[0]
+    hands, shade = hands_of(BODY, shot, scene.light), scene.light.shade(shot.normals)
+    usual = float(np.median(shade[face_vertices(BODY)]))
+    some = (LEFT | RIGHT) & (shade > 0.8 * usual) & (shade < 1.5 * usual)
+    assert shade[some].std() > 0.1 * usual
+    assert (hands.colour[some, 0] / shade[some]).std() < 0.02 * hands.colour[some, 0].mean()
 
 
 def test_a_patch_in_the_picture_of_a_hand_is_not_painted(monkeypatch: pytest.MonkeyPatch) -> None:
