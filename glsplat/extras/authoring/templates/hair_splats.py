@@ -38,8 +38,9 @@ _POINTS_PER_SPLAT = 32
 _MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
-_CONTRAST = 0.05, 0.08  # standard deviation of the locks' lightness
-_SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.75  # of hair's colour, in its own shadow
+_CONTRAST = 0.01, 0.08  # standard deviation of the locks' lightness
+_LOCK_M = 0.01  # of a blur: what is finer in the picture are locks, the rest is light and shade
+_SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.9  # of hair's colour, in its own shadow
 _SCALP_REACH_M, _NAPE_REACH_M, _CLOTH_REACH_M = 0.035, 0.018, 0.03  # from the template: what it covers
 _MAX_SCALP_SIGMA_M = 0.012  # wider splats would show around the hair
 _CURTAIN_REACH_M = 0.008  # aside, from hair that hangs behind a neck
@@ -67,7 +68,7 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     outwards[:, 1] = outwards[:, 1].clip(0, None)
     normals *= np.where(component_sums(normals * outwards) < 0, -1.0, 1.0)[:, None]
     own = to_linear(shot.rgb[seen.mask] / 255)
-    guess = _coloured(rgba[:, :3], own)
+    guess = _coloured(rgba[:, :3], own, _contrast(head, seen.mask))
     there = head.camera(points)
     trust = _trust(head, seen.mask, there, unit_vectors(outwards) @ head.rotation.T)
     shade = light.shade(normals @ head.rotation.T)
@@ -107,17 +108,28 @@ def _drawn_back(head: HeadView, points: F64) -> F64:
     return head.rest(there * np.where(some, 1 + 0.9 * (gap - _FLOATING_M) / there[:, 2], 1.0)[:, None])
 
 
-def _coloured(rgb: F64, own: F64) -> F64:
-    """Return linear colours [M, 3]: the template's light and dark, in colour and contrast of the picture's ``own``."""
+def _contrast(head: HeadView, mask: Bools) -> float:
+    """Return the standard deviation of the lightness of locks within the picture's ``mask`` [H, W]."""
+    rows, columns = np.nonzero(mask)
+    box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    hair = mask[box].astype(np.float32)
+    light = _lightness(to_linear(head.shot.rgb[box] / 255)).astype(np.float32)
+    blurred, weight = (cv2.GaussianBlur(one, (0, 0), max(_LOCK_M * head.scale, 1.0)) for one in (light * hair, hair))
+    inner = cv2.erode(hair, np.ones((3, 3), np.uint8)) > 0
+    return float((light - blurred / np.maximum(weight, 1e-3))[inner].std()) if inner.any() else 0.0
+
+
+def _coloured(rgb: F64, own: F64, contrast: float) -> F64:
+    """Return linear colours [M, 3]: the template's light and dark at a contrast, in the picture's ``own`` colour."""
     mine, theirs = _lightness(to_linear(rgb)), _lightness(own)
-    contrast = np.clip(theirs.std(), *_CONTRAST) / max(mine.std(), 1e-3)
+    contrast = float(np.clip(contrast, *_CONTRAST)) / max(float(mine.std()), 1e-3)
     light = (np.median(theirs) + contrast * (mine - np.median(mine))).clip(0.3 * np.median(theirs), 1.0) ** 3
     colour = np.median(own, axis=0)
     return light[:, None] * (colour / max(colour @ _LUMINANCE, 1e-4))
 
 
 def _lightness(linear: F64) -> F64:
-    """Return [M] the lightness of linear colours [M, 3], 0 to 1, even to the eye."""
+    """Return [...] the lightness of linear colours [..., 3], 0 to 1, even to the eye."""
     return np.cbrt(linear @ _LUMINANCE)
 
 

@@ -192,3 +192,26 @@ def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
     assert not face.any()
     back = grown[grown[:, 2] < middle[2]]
     assert back[:, 1].min() < middle[1] - 0.25  # it hangs
+
+
+def test_locks_have_the_contrast_of_the_pictures_locks_not_of_its_light() -> None:
+    scene, hair = photographed("front"), fitted("short01")[1]
+    shot, mask = hair.head.shot, hair.seen.mask
+    column = np.nonzero(mask)[1]
+    wide = column.max() - column.min()
+    light, locks = 0.5 + (column - column.min()) / wide, 1 + 0.5 * np.sign(np.sin(column / 2))
+
+    def spread(factor: np.ndarray) -> float:
+        """Return the spread of the unseen hair's brightness, over its mean."""
+        rgb, rng = shot.rgb.copy(), np.random.default_rng(0)
+        rgb[mask] = (90 * factor[:, None] + np.zeros(3)).astype(np.uint8)
+        drawn = replace(hair, head=replace(hair.head, shot=replace(shot, rgb=rgb)))
+        even = scatter(scene.mesh, 4000, rng)
+        bare = even.avatar(scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), rng)
+        splats = with_template_hair(bare, drawn, scene.light, rng).splats
+        behind = np.arange(len(splats)) >= len(bare.splats)
+        behind &= splats.means[:, 2] < hair.head.middle[2] - 0.03
+        grey = splats.sh[behind, 0, 0] * SH_C0 + 0.5
+        return float(grey.std() / grey.mean())
+
+    assert spread(light) < 0.7 * spread(locks)
