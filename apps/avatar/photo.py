@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--steps",
         type=natural,
-        help=f"of fitting all parameters of the splats, half a minute for the default {_DEFAULT.steps}; 0: none",
+        help=f"of fitting all parameters of the splats, about 40 s for the default {_DEFAULT.steps}; 0: none",
     )
     parser.add_argument(
         "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"

@@ -220,7 +220,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
             these = replace(these, pattern=pattern)
         if number != TRUNK:
             plain = without_mixed_rows(these)
-            return without_unseen_edges(plain, at, across, look[taken]) if number in _BODY else plain
+            return without_unseen_edges(plain, at, across, look[taken]) if number in LEGS else plain
         sides = rows_of(axis, ends, at, look[taken], weight[taken] * (share[taken] > _FLANK), _ROW_REACH_M)
         return without_mixed_rows(these, None if sides is None else sides.colour)
 

@@ -122,7 +122,7 @@ def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
 
 
 def with_pattern_above(rows: Rows, place: float, reach: float) -> Rows:
-    """Return the rows with a pattern from ``place`` on if most within ``reach`` below it have one; both in metres.
+    """Return the rows with a pattern from ``reach`` below ``place`` on if most rows between have one; both in metres.
 
     A neckline hides a pattern, and a row in which one of its colours prevails looks plain.
     """
