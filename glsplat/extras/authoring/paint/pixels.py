@@ -48,3 +48,17 @@ def bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
 def upscale_labels(small: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Return labels at the size of a picture of this ``shape``."""
     return cv2.resize(small.astype(np.int16), shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.intp)
+
+
+def masked_blur(
+    picture: NDArray[np.float32], some: NDArray[np.bool_], across: float, down: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return [H, W, C] the mean of ``some`` pixels about each pixel, and [H, W] their weight.
+
+    ``across`` and ``down`` are standard deviations in pixels.
+    """
+    weight = some.astype(np.float32)
+    total = cv2.GaussianBlur(weight, (0, 0), across, sigmaY=down)
+    mean = cv2.GaussianBlur(picture * weight[..., None], (0, 0), across, sigmaY=down)
+    mean = mean.reshape(picture.shape) / np.maximum(total, 1e-9)[..., None]
+    return np.asarray(mean, np.float32), np.asarray(total, np.float32)

@@ -14,6 +14,7 @@ from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.extras.authoring.paint.head import ears_of
 from glsplat.extras.authoring.paint.lamp import Lamp
+from glsplat.extras.authoring.paint.pixels import masked_blur
 from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.sample.cells import Cloud, avatar_of, skin_of, tessellate
 from glsplat.extras.authoring.sample.merge import merge_avatars
@@ -39,7 +40,7 @@ _MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
 _CONTRAST = 0.01, 0.08  # standard deviation of the locks' lightness
-_LOCK_M = 0.01  # of a blur: what is finer in the picture are locks, the rest is light and shade
+_LOCK_M = 0.01  # standard deviation of a blur that leaves light and shade, without locks
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.9  # of hair's colour, in its own shadow
 _SCALP_REACH_M, _NAPE_REACH_M, _CLOTH_REACH_M = 0.035, 0.018, 0.03  # from the template: what it covers
 _MAX_SCALP_SIGMA_M = 0.012  # wider splats would show around the hair
@@ -109,14 +110,14 @@ def _drawn_back(head: HeadView, points: F64) -> F64:
 
 
 def _contrast(head: HeadView, mask: Bools) -> float:
-    """Return the standard deviation of the lightness of locks within the picture's ``mask`` [H, W]."""
+    """Return how far the locks within the picture's ``mask`` [H, W] differ in lightness, a standard deviation."""
     rows, columns = np.nonzero(mask)
     box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    hair = mask[box].astype(np.float32)
-    light = _lightness(to_linear(head.shot.rgb[box] / 255)).astype(np.float32)
-    blurred, weight = (cv2.GaussianBlur(one, (0, 0), max(_LOCK_M * head.scale, 1.0)) for one in (light * hair, hair))
-    inner = cv2.erode(hair, np.ones((3, 3), np.uint8)) > 0
-    return float((light - blurred / np.maximum(weight, 1e-3))[inner].std()) if inner.any() else 0.0
+    light = _lightness(to_linear(head.shot.rgb[box] / 255)).astype(np.float32)[..., None]
+    sigma = max(_LOCK_M * head.scale, 1.0)
+    locks = light - masked_blur(light, mask[box], sigma, sigma)[0]
+    inner = cv2.erode(mask[box].astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # edges are mixed with the room
+    return float(locks[inner].std()) if inner.any() else 0.0
 
 
 def _coloured(rgb: F64, own: F64, contrast: float) -> F64:

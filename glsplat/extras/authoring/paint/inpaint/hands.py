@@ -23,7 +23,7 @@ F64 = NDArray[np.float64]
 _MIN_VISIBILITY, _MIN_VERTICES = 0.3, 40
 _TEXTURE_RANGE = 0.4, 1.8  # of the texture over its median
 _MIN_BRIGHTNESS = 0.75  # of a hand's tone, over the face's
-_SHADES = 0.75, 1.6  # of the light on hands, over the face's: they turn as they are posed
+_SHADES = 0.75, 1.6  # of the light on hands, over the face's: more would look wrong once hands turn
 _HUE_FRACTION, _CONTRAST = 0.2, 1.7  # of the texture's own hue (red palms and knuckles), and exponent
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.extras.authoring.paint.picture_layers.fill import disc
+from glsplat.extras.authoring.paint.pixels import masked_blur
 from glsplat.extras.authoring.paint.ramps import ramp
 
 Mask = NDArray[np.bool_]
@@ -41,8 +42,8 @@ def shadow_gain(picture: Picture, shown: Mask, arms: Mask, height: float) -> Pic
     if (before > 0.5).sum() < _MIN_PX or shaded.sum() < _MIN_PX or lit.sum() < _MIN_PX:
         return ones
     small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    own, near = _masked_blur(small, shaded, _GRAIN_FRACTION * high, _GRAIN_FRACTION * high)
-    cloth, far = _masked_blur(small, lit, _LIT_ACROSS_FRACTION * high, _LIT_DOWN_FRACTION * high)
+    own, near = masked_blur(small, shaded, _GRAIN_FRACTION * high, _GRAIN_FRACTION * high)
+    cloth, far = masked_blur(small, lit, _LIT_ACROSS_FRACTION * high, _LIT_DOWN_FRACTION * high)
     light, full = own.mean(axis=2) + 1e-4, cloth.mean(axis=2) + 1e-4
     hue = np.abs(own / (3 * light[..., None]) - cloth / (3 * full[..., None])).max(axis=2)
     ratio = full / light
@@ -50,16 +51,7 @@ def shadow_gain(picture: Picture, shown: Mask, arms: Mask, height: float) -> Pic
     some = shaded & (near > _MIN_WEIGHT) & (far > _MIN_WEIGHT)
     gain = np.where(some, 1 + likeness * np.maximum(ratio - 1, 0), 1).astype(np.float32)
     # pixels at an arm's edge are as shaded as those beside it
-    edge, edge_weight = _masked_blur(gain[..., None], some, _GRAIN_FRACTION * high, _GRAIN_FRACTION * high)
+    edge, edge_weight = masked_blur(gain[..., None], some, _GRAIN_FRACTION * high, _GRAIN_FRACTION * high)
     gain = np.where(shaded | (edge_weight < _MIN_WEIGHT), gain, edge[..., 0])
     grown = cv2.resize(gain, picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     return np.where(shown, grown, ones)
-
-
-def _masked_blur(picture: Picture, some: Mask, across: float, down: float) -> tuple[Picture, Picture]:
-    """Return [H, W, C] the mean of ``some`` pixels about each pixel, and [H, W] their weight."""
-    weight = some.astype(np.float32)
-    total = cv2.GaussianBlur(weight, (0, 0), across, sigmaY=down)
-    mean = cv2.GaussianBlur(picture * weight[..., None], (0, 0), across, sigmaY=down)
-    mean = mean.reshape(picture.shape) / np.maximum(total, 1e-9)[..., None]
-    return np.asarray(mean, np.float32), np.asarray(total, np.float32)
