@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _COLOUR_ROUNDS = 8  # where colours alone are fitted
 _PERSON_HEIGHT_PX = 1536  # in the resampled photographs
 _PHOTO_REPEATS = 5  # photographs in each pass over all pictures
+_BODY_PX, _PAINTED_PX = 512, 1024  # a side, of pictures of the painted body and of its texture
 _UNUSED_TRUST = 0.01  # of pixels that are not painted; see ``FittedPicture.unused``
 _EDGE_PX = 4  # inside the outline, where colours are mixed with the background
 
@@ -35,12 +36,11 @@ def fitted_to_photos(
     shots: Sequence[FittedPicture],
     seed: int,
     steps: int,
-    texture: int,
     progress: Callable[[str, float], None],
 ) -> Avatar:
     """Return the avatar fitted to ``shots`` and, where they show nothing, to ``mesh`` in ``colours``.
 
-    ``texture``: texels a side of the painted mesh. Without numba only colours are fitted.
+    Without numba only colours are fitted.
     """
     if not steps:
         return avatar
@@ -48,11 +48,11 @@ def fitted_to_photos(
         progress("fitting colours", 0.0)
         return fit_colours(avatar, shots, _COLOUR_ROUNDS)
     from glsplat.extras.authoring.optimize.splat_fit import FitConfig, fitted
-    from glsplat.extras.authoring.optimize.target_pictures import pictures_of
+    from glsplat.extras.authoring.optimize.target_pictures import ViewConfig, pictures_of
 
     progress("painting the body", 0.0)
-    truth = bake(mesh, colours, texture)
-    pictures = pictures_of(truth, seed, progress=progress)
+    truth = bake(mesh, colours, _PAINTED_PX)
+    pictures = pictures_of(truth, seed, ViewConfig(size=_BODY_PX), progress=progress)
     photographs = [_picture(avatar, shot) for shot in shots]
     pictures += photographs * max(1, _PHOTO_REPEATS // len(photographs))
     return fitted(avatar, pictures, seed, FitConfig(steps=steps), progress)

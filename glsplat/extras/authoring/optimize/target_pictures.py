@@ -30,6 +30,7 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 Report = Callable[[str, float], None]
 
+_SUPERSAMPLE = 2  # points across a pixel of a mesh
 _RIM_PX = 8  # around the subject, where splats must not be
 _HEAD_ANGLES_DEG = (  # around and up
     *((-90, 0), (-50, 10), (-20, -8), (0, 5), (20, 15), (50, -5), (90, 5)),
@@ -73,7 +74,7 @@ class ViewConfig:
     elevation_spread: float = 15.0  # degrees, standard deviation for other poses
 
 
-_CONSISTENCY_VIEWS = ViewConfig(body=12, poses=0, size=384, close=192)
+_CONSISTENCY_VIEWS = ViewConfig(body=12, poses=0, size=256, close=192)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -193,7 +194,7 @@ def _mesh_pictures(mesh: RiggedMesh, views: list[TargetView], context: Context |
         except ContextError:
             for view in views:
                 pose = view.pose or Pose.zero(len(mesh.skeleton))
-                yield _eight_bit(mesh_picture(mesh, mesh.posed(pose), view.camera, 2))
+                yield _eight_bit(mesh_picture(mesh, mesh.posed(pose), view.camera, _SUPERSAMPLE))
             return
     renderers: dict[tuple[int, int], MeshTruth] = {}
     try:
@@ -202,7 +203,7 @@ def _mesh_pictures(mesh: RiggedMesh, views: list[TargetView], context: Context |
             if (size, face) not in renderers:
                 shown = mesh if view.pose is None or not face else _expressed(mesh, view.pose)
                 renderers[size, face] = MeshTruth(  # points of the texture, as raster.py takes them
-                    shown, size=(size, size), samples=1, supersample=3, anisotropy=1, context=context
+                    shown, size=(size, size), samples=1, supersample=_SUPERSAMPLE, anisotropy=1, context=context
                 )
             yield renderers[size, face].render([view.camera], view.pose)[0]
     finally:

@@ -96,9 +96,7 @@ class Builtin:
         avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng, painted.guessed)
         unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
-        avatar = fitted_to_photos(
-            avatar, whole, painter.colours, shots, options.seed, options.steps, options.texture, options.progress
-        )
+        avatar = fitted_to_photos(avatar, whole, painter.colours, shots, options.seed, options.steps, options.progress)
         if hair is not None:
             avatar = with_template_hair(avatar, hair, painter.light, rng)
         photographed = len(avatar.splats)

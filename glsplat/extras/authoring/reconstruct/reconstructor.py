@@ -46,7 +46,7 @@ class Options:
     height: float | None = None  # metres, without shoes; None if unknown
     splats: int = 40_000
     seed: int = 0
-    steps: int = 400  # of fitting the splats to pictures; 0: none
+    steps: int = 200  # of fitting the splats to pictures; 0: none
     texture: int = 2048  # texels a side, where a mesh is made
     keep_light: bool = False  # in the colours, as photographed: the avatar is never relit
     progress: Progress = _silent

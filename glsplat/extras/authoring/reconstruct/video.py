@@ -111,9 +111,7 @@ def _splats(
     avatar = scattered.avatar(mesh, painted.rgb, painted.detail, rng)
     keys = key_views([frame.turn for frame in frames])  # all frames would add little, and take gigabytes
     shots = [shots[index] for index in keys]
-    return fitted_to_photos(
-        avatar, mesh, fusion.colours, shots, options.seed, options.steps, options.texture, options.progress
-    )
+    return fitted_to_photos(avatar, mesh, fusion.colours, shots, options.seed, options.steps, options.progress)
 
 
 def from_video(

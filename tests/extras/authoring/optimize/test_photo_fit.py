@@ -101,10 +101,11 @@ def test_the_fit_reproduces_the_photograph(
 ) -> None:
     for name, value in FEW.items():
         monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
+    monkeypatch.setattr(module, "_PAINTED_PX", 256)
     told: list[str] = []
     avatar, colours = painted
     done = fitted_to_photos(
-        avatar, scene.mesh, colours, scene.shots, 0, 60, 256, lambda stage, _: told.append(stage.partition(",")[0])
+        avatar, scene.mesh, colours, scene.shots, 0, 60, lambda stage, _: told.append(stage.partition(",")[0])
     )
     picture = _picture(avatar, scene.shots[0])
     assert missed(done, picture) < 0.8 * missed(avatar, picture)
@@ -114,7 +115,7 @@ def test_the_fit_reproduces_the_photograph(
 
 def test_zero_steps_change_nothing(scene: Scene, painted: tuple[Avatar, Colours]) -> None:
     avatar, colours = painted
-    assert fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 0, 256, silent) is avatar
+    assert fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 0, silent) is avatar
 
 
 def test_without_numba_only_colours_are_fitted(
@@ -123,5 +124,5 @@ def test_without_numba_only_colours_are_fitted(
     without_numba(monkeypatch)
     avatar, colours = painted
     monkeypatch.setattr(module, "fit_colours", lambda *words: words)
-    made = fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 400, 256, silent)
+    made = fitted_to_photos(avatar, scene.mesh, colours, scene.shots, 0, 200, silent)
     assert made == (avatar, scene.shots, 8)
