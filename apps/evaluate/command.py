@@ -18,8 +18,7 @@ from glsplat.extras.evaluate.comparison.method import OWN, MadeElsewhere, method
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
 from glsplat.extras.evaluate.comparison.performance import TASKS
 from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
-from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finished
-from glsplat.extras.evaluate.comparison.workers import run_tasks
+from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finished, run_tasks
 from glsplat.formats.motion_files import embedded_motions, split_choice
 from glsplat.io.cores import cores
 from glsplat.io.files import locked, replace_file

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
+from glsplat.extras.evaluate.comparison.performance import CONTROLS
 
 from ..page import document, escaped, image_of, table_of
 from .outcome import LOWER, NAMES

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from glsplat.extras.evaluate.comparison import tables
-from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import MEASURES, OVERLAP
 from glsplat.extras.evaluate.comparison.participant import Participant
+from glsplat.extras.evaluate.comparison.performance import CONTROLS
 from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.io.provenance import machine

@@ -8,7 +8,7 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.models.catalogue import PHOTO
 from glsplat.extras.authoring.models.store import state_of
 from glsplat.extras.evaluate.comparison.protocol import Protocol
-from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.lpips import Lpips
 from glsplat.optional import require_package
 
 _SEEING = ("photo", "mesh-image", "mesh-video")  # methods that detect a person in pictures

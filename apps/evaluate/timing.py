@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.evaluate.comparison.control import true_poses
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.performance import perform
+from glsplat.extras.evaluate.comparison.performance import perform, true_poses
 from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.stage import Stage
 from glsplat.extras.evaluate.comparison.work import Result
+from glsplat.extras.evaluate.costs import SIZES, costs
 from glsplat.extras.evaluate.frames import WARM_UP
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.sections.costs import SIZES, costs
+from glsplat.extras.evaluate.lpips import Lpips
 from glsplat.formats.registry import load
 from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged

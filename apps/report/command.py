@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar, splats_of
+from glsplat.extras.evaluate.costs import features_of, left_out, unmoved
 from glsplat.extras.evaluate.difference import require_extra
+from glsplat.extras.evaluate.frames import Watch
 from glsplat.extras.evaluate.precision import lpips_if_there, measure
-from glsplat.extras.evaluate.quiet import Watch
-from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
 from glsplat.extras.evaluate.stability.extremes import all_cases
 from glsplat.extras.evaluate.stability.frame import judge
 from glsplat.extras.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of

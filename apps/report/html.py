@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from glsplat.extras.evaluate.frames import MAX_SHARE, Quiet
 from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, advice
-from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 
 from ..page import document, escaped, image_of, number_of, table_of
 

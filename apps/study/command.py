@@ -14,8 +14,7 @@ from pathlib import Path
 from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study, read_study
 from glsplat.extras.study.export import export
-from glsplat.extras.study.orders import cycle
-from glsplat.extras.study.plan import PLAN, Plan, checked_plan, label, make_plan, read_plan, write_plan
+from glsplat.extras.study.plan import PLAN, Plan, checked_plan, cycle, label, make_plan, read_plan, write_plan
 from glsplat.extras.study.questionnaires import embedded
 from glsplat.extras.study.store import remove
 from glsplat.io.files import replace_file

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from glsplat.extras.study.analysis.analysis import ALPHA, Analysis, EffectRow
 from glsplat.extras.study.analysis.anova import Contrast
-from glsplat.extras.study.analysis.effect_sizes import EffectSize
-from glsplat.extras.study.analysis.plain import Omnibus
+from glsplat.extras.study.analysis.plain import EffectSize, Omnibus
 from glsplat.extras.study.analysis.reliability import Reliability
 
 

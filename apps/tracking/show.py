@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.extras.evaluate.baseline import baseline
+from glsplat.extras.evaluate.tracking_score import baseline
 from glsplat.extras.formats.npz import array_names
 from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
 from glsplat.io.files import open_regular

@@ -16,7 +16,7 @@ from glsplat.data import participants_folder
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.comparison import measure
 from glsplat.extras.evaluate.comparison.work import work
-from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.lpips import Lpips
 from tests.apps.cli import mistake
 from tests.extras.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 

@@ -13,8 +13,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.metrics.flip import flip as mean_flip
-from glsplat.extras.evaluate.metrics.pixels import decibel
+from glsplat.extras.evaluate.metrics import decibel
+from glsplat.extras.evaluate.metrics import flip as mean_flip
 from glsplat.optional import require_package
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats

@@ -23,10 +23,9 @@ from glsplat.camera import Camera
 from glsplat.config import CULL_PSNR, LEAN, MAX_SIGMA, DebugConfig, RenderConfig, with_fields
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference, pareto, reference_pictures
-from glsplat.extras.evaluate.frames import timed
-from glsplat.extras.evaluate.metrics.flip import flip
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.quiet import MAX_SHARE, Watch
+from glsplat.extras.evaluate.frames import MAX_SHARE, Watch, timed
+from glsplat.extras.evaluate.lpips import Lpips
+from glsplat.extras.evaluate.metrics import flip
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.net.codec.encode import encode_picture

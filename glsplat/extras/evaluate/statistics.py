@@ -12,9 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from glsplat.extras.statistics.bootstrap import interval_of_mean
-from glsplat.extras.statistics.holm import holm
-from glsplat.extras.statistics.ranks import rank_biserial, wilcoxon
+from glsplat.extras.statistics.nonparametric import holm, interval_of_mean, rank_biserial, wilcoxon
 
 Values = Mapping[str, Mapping[str, float | None]]
 """Values of one measure, by method and participant."""

@@ -75,7 +75,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Order of conditions (orders.py). ``block``: a factor whose levels stay together."""
+    """Order of conditions (plan.py). ``block``: a factor whose levels stay together."""
 
     scheme: Literal["williams", "random", "fixed"] = "williams"
     block: str = ""

@@ -18,10 +18,9 @@ from typing import Any
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study
-from glsplat.extras.study.plan import Plan, label
+from glsplat.extras.study.plan import Plan, Step, label, steps_of
 from glsplat.extras.study.questionnaires import Answer
 from glsplat.extras.study.session import Event, Session
-from glsplat.extras.study.steps import Step, steps_of
 from glsplat.extras.study.store import FRAMES, SESSION, Log, folders, lines_of
 from glsplat.io.files import naming, open_regular, replace_file
 

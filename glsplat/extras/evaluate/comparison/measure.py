@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F64
-from glsplat.extras.evaluate.comparison.control import CONTROLS
-from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.performance import CONTROLS
 from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, Protocol
-from glsplat.extras.evaluate.comparison.stage import StageTruth
-from glsplat.extras.evaluate.metrics.flip import flip
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.metrics.pixels import WHOLE, decibel
-from glsplat.extras.evaluate.metrics.structure import inner_mean, ssim_map
+from glsplat.extras.evaluate.comparison.stage import PARTS, StageTruth
+from glsplat.extras.evaluate.lpips import Lpips
+from glsplat.extras.evaluate.metrics import WHOLE, decibel, flip, inner_mean, ssim_map
 
 MEASURES = ("l1", "lpips", "psnr", "ssim")
 """The paper's measures, over the whole square."""

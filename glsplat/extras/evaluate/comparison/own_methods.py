@@ -14,7 +14,7 @@ from glsplat.extras.authoring.reconstruct.video import FRAMES, from_pictures, fr
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.extras.authoring.video.frames import FramePicture
-from glsplat.extras.evaluate.avatar_poses import pose_of
+from glsplat.extras.evaluate.avatar_score import pose_of
 from glsplat.extras.evaluate.comparison.participant import Participant
 from glsplat.extras.evaluate.turntable import turntable
 from glsplat.meshes import RiggedMesh

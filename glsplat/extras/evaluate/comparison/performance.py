@@ -1,4 +1,7 @@
-"""Performances: the motion of a participant, and the moments at which avatars are compared."""
+"""Performances: a participant's motion, the moments at which avatars are compared, and the poses of avatars there.
+
+An avatar's poses come from the true pose, or from head and hands alone.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from glsplat.arrays import F64
-from glsplat.extras.evaluate.avatar_poses import Rotations, fist, pose_of
+from glsplat.errors import PoseError
+from glsplat.extras.evaluate.avatar_score import Rotations, fist, pose_of
+from glsplat.extras.motions.derive import derive, truth_from_motion
 from glsplat.formats.motion_files import load_motion
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
 from glsplat.rotations import slerp
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+from glsplat.tracking.config import TrackerConfig
+from glsplat.tracking.sample import Sample
+from glsplat.tracking.solve.body import Body
+from glsplat.tracking.tracker import Tracker
 
 RATE = 72.0
 """Samples of head and hands per second, a headset's display rate."""
@@ -122,3 +131,43 @@ def _frames(seconds: float) -> int:
 def _height(mesh: RiggedMesh, rotations: F64) -> float:
     """Return the height in metres that raises the lowest vertex to y = 0."""
     return -float(mesh.posed(Pose(rotations))[np.unique(mesh.faces), 1].min())
+
+
+CONTROLS = ("tracking", "pose")
+"""From head and hands through the solver, as for users; from the true pose, which no headset knows."""
+
+
+def recorded(performance: Performance, skeleton: Skeleton) -> list[Sample]:
+    """Return an ideal headset's samples of the performer at RATE. Raises PoseError unless the rig is SMPL-X's."""
+    ground = np.array([0.0, Body.of(skeleton).ground, 0.0])
+    truth = truth_from_motion(skeleton, performance.rotations, performance.trans + ground, RATE, RATE)
+    return derive(skeleton, truth)
+
+
+def tracked(samples: list[Sample], moments: tuple[int, ...], skeleton: Skeleton) -> list[Pose]:
+    """Return poses of an avatar's ``skeleton`` at ``moments`` (indices), tracked through all samples before them."""
+    tracker = Tracker(skeleton, config=TrackerConfig(arm_scaling=0))  # compare avatars with their own limbs
+    poses = []
+    for index, sample in enumerate(samples[: max(moments) + 1]):
+        pose = tracker.update(sample)
+        if index in moments:
+            poses.append(pose)
+    return poses
+
+
+def true_poses(performance: Performance, performer: Skeleton, skeleton: Skeleton) -> list[Pose]:
+    """Return the performer's rotations, by joint name, and translations. Raises PoseError without a common joint."""
+    index = {name: i for i, name in enumerate(performer.names)}
+    known = [(i, index[name]) for i, name in enumerate(skeleton.names) if name in index]
+    if not known:
+        raise PoseError(
+            f"no joint of the avatar ({', '.join(skeleton.names[:4])}, ...) has a name of the participant's"
+        )
+    own, theirs = np.array(known).T
+    poses = []
+    for moment in range(len(performance.moments)):
+        pose = performance.pose(moment)
+        rotations = np.zeros((len(skeleton), 3))
+        rotations[own] = pose.rotations[theirs]
+        poses.append(Pose(rotations, pose.trans))
+    return poses

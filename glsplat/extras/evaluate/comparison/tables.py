@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from glsplat.arrays import F64
-from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
-from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.performance import CONTROLS
+from glsplat.extras.evaluate.comparison.stage import PARTS
 from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.extras.evaluate.statistics import compare
 

@@ -1,4 +1,4 @@
-"""The work of a comparison: make, drive, draw and measure each method's avatar of one participant.
+"""The work of a comparison: make, drive, draw and measure each method's avatar of one participant, in processes.
 
 Finished work is kept in the output folder and not repeated: ``avatars/METHOD/NAME.glb``, ``results/METHOD/NAME.json``,
 ``sheets/METHOD/NAME.jpg``. A result is written atomically, once it is complete.
@@ -8,28 +8,74 @@ from __future__ import annotations
 
 import json
 import logging
+import multiprocessing
+import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError, one_line
-from glsplat.extras.evaluate.comparison.control import CONTROLS, recorded, tracked, true_poses
 from glsplat.extras.evaluate.comparison.measure import Reference, Scores
-from glsplat.extras.evaluate.comparison.method import MadeElsewhere
+from glsplat.extras.evaluate.comparison.method import MadeElsewhere, Product, key_of, product
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.performance import Performance, perform, perform_motion
-from glsplat.extras.evaluate.comparison.product import Product, key_of, product
+from glsplat.extras.evaluate.comparison.performance import (
+    CONTROLS,
+    Performance,
+    perform,
+    perform_motion,
+    recorded,
+    tracked,
+    true_poses,
+)
 from glsplat.extras.evaluate.comparison.protocol import Protocol
-from glsplat.extras.evaluate.comparison.sheet import Sheet
 from glsplat.extras.evaluate.comparison.stage import Stage
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import commit
 from glsplat.skinning.pose import Pose
 from glsplat.tracking.sample import Sample
+
+Picture = NDArray[np.uint8]
+_SIDE = 192  # height of a picture in pixels
+_STRIP = 18  # height of a row's heading in pixels
+_QUALITY = 85
+
+
+class Sheet:
+    """Small pictures in named rows and a column per moment; rows are in the order of their first picture."""
+
+    def __init__(self, moments: int) -> None:
+        self._moments = moments
+        self._rows: dict[str, list[Picture | None]] = {}
+
+    def put(self, row: str, moment: int, picture: Picture) -> None:
+        """Add a picture [H, W, 3 or 4] RGB(A)."""
+        cells = self._rows.setdefault(row, [None] * self._moments)
+        height, width = picture.shape[:2]
+        size = (round(_SIDE * width / height), _SIDE)
+        cells[moment] = cv2.resize(picture[..., :3], size, interpolation=cv2.INTER_AREA)
+
+    def jpeg(self) -> bytes:
+        """Return the sheet with its rows' names as a JPEG."""
+        lines = []
+        for name, cells in self._rows.items():
+            filled = [np.zeros((_SIDE, _SIDE, 3), np.uint8) if cell is None else cell for cell in cells]
+            line = np.hstack(filled)
+            strip = np.full((_STRIP, line.shape[1], 3), 64, np.uint8)
+            cv2.putText(strip, name, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
+            lines += [strip, line]
+        data = cv2.imencode(".jpg", np.vstack(lines)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+        return bytes(data.tobytes())
+
 
 Tell = Callable[[str, float], None]
 """Called with a step's name and the finished share of the task."""
@@ -215,3 +261,93 @@ def _result_file(task: Task, method: str) -> Path:
 def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, [data])
+
+
+Show = Callable[[int, str, float], None]
+"""Called with a task's index, its current step, and its finished share."""
+
+# one thread per worker, as the last bits of sums depend on the number of threads
+_ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+
+
+def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Result]]:
+    """Yield the results of each task as it finishes, from at most ``jobs`` processes at a time.
+
+    Each task, even a single one, has its own process, so that all run alike. Processes that still run when the caller
+    stops are terminated.
+    """
+    context = multiprocessing.get_context("spawn")
+    waiting = list(range(len(tasks)))
+    running: dict[Connection, tuple[int, BaseProcess]] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                index = waiting.pop(0)
+                ours, theirs = context.Pipe(duplex=False)
+                worker: BaseProcess = context.Process(target=_work, args=(tasks[index], theirs))
+                with _environment(_ONE_CORE):
+                    worker.start()
+                theirs.close()  # so that recv() raises EOFError when the process ends
+                running[ours] = index, worker
+            for connection in wait(list(running)):
+                assert isinstance(connection, Connection)
+                index, process = running[connection]
+                try:
+                    said: tuple[str, float] | list[Result] = connection.recv()
+                except (EOFError, OSError):
+                    process.join()
+                    said = _lost(tasks[index], process.exitcode)
+                if isinstance(said, tuple):
+                    show(index, *said)
+                    continue
+                del running[connection]
+                connection.close()
+                process.join()
+                yield said
+    finally:
+        for _, process in running.values():
+            process.terminate()
+        for connection, (_, process) in running.items():
+            process.join()
+            connection.close()
+
+
+def _work(task: Task, said: Connection) -> None:
+    """Run one task in a worker process."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    parent = multiprocessing.parent_process()
+
+    def tell(step: str, done: float) -> None:
+        if parent is not None and not parent.is_alive():
+            os._exit(1)
+        said.send((step, done))
+
+    said.send(work(task, tell))
+
+
+def _lost(task: Task, code: int | None) -> list[Result]:
+    how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+    why = f"the process that worked on {task.participant.name} ended ({how}); memory may have run out"
+    return [Result(task.participant.name, method, why) for method in task.methods]
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables and ignore Ctrl-C in processes that are started within.
+
+    This process handles Ctrl-C and ends its workers, which would otherwise each print a traceback.
+    """
+    before: dict[str, Any] = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited by new processes
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, heard)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

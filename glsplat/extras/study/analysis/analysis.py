@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 
 from glsplat.errors import FormatError
-from glsplat.extras.statistics.bootstrap import LEVEL
+from glsplat.extras.statistics.nonparametric import LEVEL
 
 from .anova import Contrast, Model, ModelName, art, art_contrasts, art_spread, choose, conditions, name_of, stray
-from .effect_sizes import EffectSize, partial_eta_squared
-from .effects import effects_of
-from .plain import MOST_CONDITIONS, Omnibus, plain_tests
+from .plain import MOST_CONDITIONS, EffectSize, Omnibus, partial_eta_squared, plain_tests
 from .repeated import FTest
-from .table import Table
+from .table import Table, effects_of
 
 ALPHA = 0.05
 
@@ -54,7 +52,7 @@ class EffectRow:
     eta_squared: EffectSize
     """Partial eta squared."""
     f_spread: float | None = None
-    """F and p with ties spread (:func:`~.align.spread_ranks`), for answers on a coarse scale."""
+    """F and p with ties spread (:func:`~.anova.spread_ranks`), for answers on a coarse scale."""
     p_spread: float | None = None
 
     @property

@@ -20,9 +20,8 @@ from scipy.special import fdtrc
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
 
-from .effects import Effect, averages, hypothesis
 from .repeated import NOTHING, FTest
-from .table import Table
+from .table import Effect, Table, averages, hypothesis
 
 
 @dataclass(frozen=True, eq=False)

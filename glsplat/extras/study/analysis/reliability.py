@@ -14,7 +14,7 @@ from scipy.special import fdtri
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
-from glsplat.extras.statistics.bootstrap import LEVEL
+from glsplat.extras.statistics.nonparametric import LEVEL
 
 SMALLEST = 0.005
 """Lower bound of an item's unique share of variance, as in R's factanal."""

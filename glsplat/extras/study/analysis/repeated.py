@@ -16,8 +16,7 @@ from scipy.special import fdtrc
 
 from glsplat.arrays import F64
 
-from .effects import Effect, averages, hypothesis, kron
-from .table import Table
+from .table import Effect, Table, averages, hypothesis, kron
 
 NOTHING = 1e-12
 """Sums of squares below this share of the total are rounding errors."""

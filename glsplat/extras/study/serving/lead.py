@@ -24,9 +24,7 @@ from aiohttp import web
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
-from glsplat.extras.study.serving.light import FULL, dim
-from glsplat.extras.study.serving.live import Live, wrong_page
-from glsplat.extras.study.serving.page_state import for_experimenter, for_participant
+from glsplat.extras.study.serving.live import Live, for_experimenter, for_participant, wrong_page
 from glsplat.extras.study.serving.recording import Recording
 from glsplat.extras.study.store import FRAMES, TRACKING
 from glsplat.io.files import open_regular, replace_file
@@ -371,3 +369,22 @@ def _refusal(status: int, code: str, text: str, wait: int | None = None) -> web.
     """Return an error response; ``wait``: seconds until the next try."""
     headers = None if wait is None else {"Retry-After": f"{wait}"}
     return web.json_response({"error": {"code": code, "message": text}}, status=status, headers=headers)
+
+
+FULL = (1.0, 1.0, 1.0)
+"""No change."""
+
+_GAMMA = 2.2  # of the display: a light factor f multiplies bytes by f ** (1 / 2.2)
+
+
+def dim(images: NDArray[np.uint8], light: tuple[float, float, float]) -> None:
+    """Multiply the light of ``images`` [V, H, W, 4] by ``light`` [3], 0 to 1, linear RGB, in place.
+
+    With a pure power as display curve, a byte's factor does not depend on alpha, so premultiplied edges stay correct.
+    sRGB differs by its linear part near black.
+    """
+    values = np.arange(256)
+    for channel, factor in enumerate(light):
+        if factor != 1:
+            table = np.rint(values * factor ** (1 / _GAMMA)).astype(np.uint8)
+            images[..., channel] = table[images[..., channel]]

@@ -1,4 +1,4 @@
-"""The running session: the state machine, its log on disk, a clock, and the pages.
+"""The running session: the state machine, its log on disk and its quota, a clock, and the pages' state.
 
 An event is written and synced first, then the state changes, then pages are notified. Time is monotonic; the wall clock
 only measures how long a server was down.
@@ -19,11 +19,49 @@ from typing import Any
 
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.extras.study.design import Condition, Study
-from glsplat.extras.study.plan import Plan, label
-from glsplat.extras.study.serving.quota import LinkQuota
+from glsplat.extras.study.plan import Plan, label, steps_of
+from glsplat.extras.study.questionnaires import Item
 from glsplat.extras.study.session import Event, Session
-from glsplat.extras.study.steps import steps_of
 from glsplat.extras.study.store import Store
+from glsplat.net.guard.limits import Bucket
+
+MAX_LOG_BYTES = 64 << 20
+"""Size of a session's log; an hour of a study with 100 questions writes about 30 kB."""
+RATE_BYTES_S = 4096.0
+BURST_BYTES = 1 << 20
+"""Twenty answers of 4000 characters, each escaped to 12 bytes."""
+
+
+class QuotaError(ProtocolError):
+    """A limit is exceeded; ``wait`` is the number of seconds until the next try."""
+
+    def __init__(self, message: str, code: str, wait: int | None = None) -> None:
+        super().__init__(message, code)
+        self.wait = wait
+
+
+class LinkQuota:
+    """Quota of one link. Times are of a monotonic clock. One message may overdraw it; the next one waits."""
+
+    def __init__(self, now: float) -> None:
+        self._bucket = Bucket.full(RATE_BYTES_S, BURST_BYTES, now)
+
+    def check(self, now: float, size: int, makes_progress: bool) -> None:
+        """Raise QuotaError: "full" for a log of ``size`` bytes unless the event is needed, "rate" for a high rate."""
+        if size >= MAX_LOG_BYTES and not makes_progress:
+            raise QuotaError(
+                f"the log of this session is full ({MAX_LOG_BYTES >> 20} MiB): saved answers stay, "
+                "and a running task is not restarted",
+                "full",
+            )
+        if (left := self._bucket.left(now)) <= 0:
+            wait = math.ceil(-left / self._bucket.rate) or 1
+            raise QuotaError(f"answers arrive faster than they can be saved; try again in {wait} s", "rate", wait)
+
+    def charge(self, now: float, nbytes: int) -> None:
+        """Charge appended bytes."""
+        self._bucket.charge(now, nbytes)
+
 
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
@@ -200,3 +238,79 @@ def resumed_at(last: float, opened: Event | None, now: float) -> float:
 def wrong_page() -> ProtocolError:
     """Return the error for a page that is not the active one."""
     return ProtocolError("the study is open on another page; reload this one to continue here", "elsewhere")
+
+
+def for_participant(live: Live) -> dict[str, Any]:
+    """Return the current step with its text or questions."""
+    session = live.session
+    step, state, left = session.step, session.state, session.left(live.t)
+    shown: dict[str, Any] = {
+        "revision": live.revision,
+        "title": live.study.title,
+        "ended": state.ended,
+        "paused": state.paused,
+        "number": state.at + 1,
+        "of": len(session.steps),
+        "trouble": bool(live.trouble),
+        "condition": None
+        if live.condition is None
+        else {"view": live.condition.view, "latency": live.condition.latency},
+    }
+    if step is None:
+        return shown
+    shown |= {"step": step.alias, "kind": step.kind, "phase": state.phase, "attempt": state.attempt}
+    shown["left"] = None if left is None else round(left, 2)
+    if step.kind == "consent":
+        shown["text"] = live.study.consent
+    task = session.task
+    if task is not None:
+        shown |= {"text": task.text, "speak": task.speak, "ready": task.ready, "seconds": task.seconds}
+    if step.questionnaire:
+        shown |= _questions(live.study, step.questionnaire) | {"answers": dict(state.answers)}
+    return shown
+
+
+def for_experimenter(live: Live) -> dict[str, Any]:
+    """Return the current step without its questions, and the state of the session."""
+    session = live.session
+    step = session.step
+    condition = None if step is None or not step.condition else step.condition
+    shown = live.condition
+    return {
+        "revision": live.revision,
+        "study": live.study.title,
+        "participant": live.participant,
+        "t": round(live.t, 1),
+        "step": "" if step is None else step.name,
+        "kind": "" if step is None else step.kind,
+        "phase": session.state.phase,
+        "attempt": session.state.attempt,
+        "left": session.left(live.t),
+        "paused": session.state.paused,
+        "ended": session.state.ended,
+        "number": session.state.at + 1,
+        "condition": condition,
+        "shown": None if shown is None else {"view": shown.view, "latency": shown.latency, "hands": shown.hands},
+        "answered": len(session.state.answers),
+        "items": 0
+        if step is None or not step.questionnaire
+        else len(live.study.questionnaires[step.questionnaire].items),
+        "present": live.present,
+        "figures": live.figures,
+        "trouble": live.trouble,
+        "notes": [{"t": round(note.t, 1), "text": note.values["text"]} for note in live.notes],
+        "steps": [one.name for one in session.steps],
+    }
+
+
+def _questions(study: Study, name: str) -> dict[str, Any]:
+    questionnaire = study.questionnaires[name]
+    return {"intro": questionnaire.intro, "items": list(map(_item, questionnaire.items))}
+
+
+def _item(item: Item) -> dict[str, Any]:
+    scale = item.scale
+    fields: dict[str, Any] = {"name": item.name, "text": item.text, "kind": scale.kind, "labels": list(scale.labels)}
+    if scale.kind in ("points", "slider"):
+        fields |= {"from": scale.low, "to": scale.high, "step": scale.step}
+    return fields | {"required": item.required}

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from glsplat.extras.evaluate.comparison import tables
-from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import MEASURES, OVERLAP, PARTED
-from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.performance import CONTROLS
+from glsplat.extras.evaluate.comparison.stage import PARTS
 from glsplat.extras.evaluate.comparison.work import Result
 
 PEOPLE, METHODS = ("p01", "p02", "p03"), ("first", "second")

@@ -15,8 +15,7 @@ from glsplat.extras.evaluate.comparison import work as working
 from glsplat.extras.evaluate.comparison.method import MadeElsewhere, method_of
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
 from glsplat.extras.evaluate.comparison.protocol import Protocol
-from glsplat.extras.evaluate.comparison.work import Result, Task, finished, work
-from glsplat.extras.evaluate.comparison.workers import run_tasks
+from glsplat.extras.evaluate.comparison.work import Result, Task, finished, run_tasks, work
 from glsplat.formats import load, save
 
 pytestmark = pytest.mark.usefixtures("no_lpips", "strangers")
