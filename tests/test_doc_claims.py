@@ -174,7 +174,7 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "a jump over # m": "glsplat.tracking.config:TrackerConfig().teleport",
         "# s without samples": "glsplat.tracking.config:TrackerConfig().gap",
         "a jump for # s": "glsplat.tracking.solve.height_limit:MAX_JUMP_S",
-        "# times a second a GRU": "glsplat.extras.learned.frames:RATE_HZ",
+        "# times a second a GRU": "glsplat.extras.learned.network:RATE_HZ",
     },
     "scaling.md": {
         "then every # s": "glsplat.net.render_loop:_REVIVE_PERIOD_S",

@@ -32,6 +32,9 @@ Measured by its authors on their GPU with their avatars; its FPS column is 1000 
 
 SIZES = tuple(PAPER)
 
+_STIR = 1e-9
+"""Metres that a pose moves per frame, so that the skin pass runs without changing the picture."""
+
 
 def costs(
     context: Context,
@@ -93,10 +96,6 @@ def _milliseconds(renderers: Sequence[Renderer], eyes: Sequence[Camera], pose: P
         shared.render([eye], pose)
         in_turn += shared.timings["total"]
     return pair.timings["total"], two, in_turn
-
-
-_STIR = 1e-9
-"""Metres that a pose moves per frame, so that the skin pass runs without changing the picture."""
 
 
 @dataclass(frozen=True, eq=False)

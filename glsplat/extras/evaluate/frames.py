@@ -15,12 +15,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
-from glsplat.renderer import Renderer
 from glsplat.renderer.probe import Probe
 from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
@@ -30,6 +28,10 @@ T = TypeVar("T")
 
 MAX_SHARE = 0.03
 """Largest share for valid times: of the cores used by others, and of the default's difference to itself."""
+
+FOV = 65.0
+WARM_UP = 5
+STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")
 
 
 @dataclass(frozen=True)
@@ -93,11 +95,6 @@ def _seconds() -> tuple[float, float, float] | None:
         return None
     times = [int(word) / os.sysconf("SC_CLK_TCK") for word in line.split()[1:9]]
     return sum(times), sum(times) - times[3] - times[4], sum(os.times()[:4])  # without idle and iowait
-
-
-FOV = 65.0
-WARM_UP = 5
-STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")
 
 
 @dataclass(frozen=True)
@@ -165,14 +162,16 @@ class Bench:
     ) -> dict[str, Any]:
         """Return times of whole frames, of the draw alone, of stages, and of one render per view, as JSON values."""
         pair, single, staged = (
-            self._renderer(scene, pixels, n, timed) for n, timed in ((views, 0), (1, 0), (views, 1))
+            Probe(scene, size=pixels, views=n, config=self._config, context=self._context, timed=timed)
+            for n, timed in ((views, False), (1, False), (views, True))
         )
         whole, cpu, floor, gpu, apart, still, still_apart = [], [], [], [], [], [], []
         with self._context.entered("Bench"):
             query = self._context.ctx.query(time=True)
         stages: dict[str, list[float]] = {}
         for i, pose in enumerate(poses):
-            eyes = self.eyes(scene, pixels, i)[:views]
+            start, target = viewing_point(scene, FOV)  # the head orbits by a degree a frame
+            eyes = view_of(orbited(start, target, np.radians(i)), target, pixels, FOV, ipd=0.055)[:views]
             if pose_at is not None:
                 pose_at(i / 30)
             total, _ = timed(lambda: pair.render(eyes, pose))  # noqa: B023 - called at once
@@ -183,9 +182,13 @@ class Bench:
                 single.render([eye], pose)
                 two += single.timings["total"]
             staged.render(eyes, pose)
-            # render an unmoved frame: no skinning, no sorting
+            # render an unmoved frame: no skinning, no sorting; of each eye the second one
             pair.render(eyes, pose)
-            unmoved, unmoved_apart = pair.timings["total"], self._unmoved(single, eyes, pose)
+            unmoved, unmoved_apart = pair.timings["total"], 0.0
+            for eye in eyes:
+                single.render([eye], pose)
+                single.render([eye], pose)
+                unmoved_apart += single.timings["total"]
             if i < WARM_UP:
                 continue
             whole.append(total[0])
@@ -227,20 +230,3 @@ class Bench:
         for renderer in (pair, single, staged):
             renderer.release()
         return row
-
-    def _unmoved(self, renderer: Renderer, eyes: Sequence[Camera], pose: Pose | None) -> float:
-        """Return the ms of one render per eye of an unmoved scene: each eye is drawn twice, the second time counts."""
-        total = 0.0
-        for eye in eyes:
-            renderer.render([eye], pose)
-            renderer.render([eye], pose)
-            total += renderer.timings["total"]
-        return total
-
-    def _renderer(self, scene: SceneLike, pixels: tuple[int, int], views: int, timed: int) -> Probe:
-        return Probe(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
-
-    def eyes(self, scene: SceneLike, pixels: tuple[int, int], frame: int) -> list[Camera]:
-        """Return the pair of cameras of a head that orbits by one degree per frame."""
-        eye, target = viewing_point(scene, FOV)
-        return view_of(orbited(eye, target, np.radians(frame)), target, pixels, FOV, ipd=0.055)

@@ -21,28 +21,24 @@ from glsplat.extras.authoring.networks.onnx import Graph
 from glsplat.extras.authoring.networks.unpickle import ListedUnpickler
 from glsplat.extras.evaluate.metrics import checked
 
+_SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained
+_SCALE = np.array([0.458, 0.448, 0.450])
+
 
 @dataclass(frozen=True)
 class Backbone:
     """A recognition network up to the last layer that LPIPS uses."""
 
-    model: str
-    """Its name in the store."""
-    key: str
-    """Its name in the file."""
+    model: str  # its name in the store
+    key: str  # its name in the file
     kernels: tuple[tuple[int, int, int], ...]
     """Of each convolution: side, channels in, channels out."""
-    stride: int
-    """Of the first convolution; that of the others is 1."""
+    stride: int  # of the first convolution; that of the others is 1
     padding: tuple[int, ...]
-    pool: int
-    """Side of the max-pooling windows, with stride 2."""
-    pooled: tuple[int, ...]
-    """The convolutions after a pooling."""
-    seen: tuple[int, ...]
-    """The convolutions whose outputs are compared."""
-    least: int
-    """Smallest width and height of a picture, pixels."""
+    pool: int  # side of the max-pooling windows, with stride 2
+    pooled: tuple[int, ...]  # the convolutions after a pooling
+    seen: tuple[int, ...]  # the convolutions whose outputs are compared
+    least: int  # smallest width and height of a picture, pixels
 
 
 BACKBONES = {
@@ -80,11 +76,9 @@ BACKBONES = {
 class Weights:
     """Weights of the convolutions and of LPIPS's heads."""
 
-    kernels: tuple[F32, ...]
-    """Each [k, k, in, out]."""
+    kernels: tuple[F32, ...]  # each [k, k, in, out]
     biases: tuple[F32, ...]
-    heads: tuple[F32, ...]
-    """Weight of each channel of the compared outputs; never negative."""
+    heads: tuple[F32, ...]  # weight of each channel of the compared outputs; never negative
 
 
 def read_weights(path: Path, backbone: Backbone) -> Weights:
@@ -133,10 +127,6 @@ def _array(tree: Any, name: str, shape: tuple[int, ...], path: Path) -> F32:
     if not np.isfinite(tree).all():
         raise FormatError(f"{path}: {name} has values that are not finite")
     return np.ascontiguousarray(tree)
-
-
-_SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained
-_SCALE = np.array([0.458, 0.448, 0.450])
 
 
 class Lpips:

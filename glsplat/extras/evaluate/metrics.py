@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from glsplat.errors import GlsplatError
 from glsplat.optional import require_package
 
-Box = tuple[slice, slice]
-"""Rows and columns of a picture."""
+Box = tuple[slice, slice]  # rows and columns of a picture
 
 WHOLE: Box = (slice(None), slice(None))
 
 _FINEST = 1e-30  # lower bound of a mean square
+
+_SIGMA, _RADIUS = 1.5, 5  # pixels: the paper's window of 11 x 11
+_C1, _C2 = 0.01**2, 0.03**2  # for a peak of 1
 
 
 def checked(picture: NDArray[Any], truth: NDArray[Any]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
@@ -50,10 +52,6 @@ def psnr(picture: NDArray[np.floating], truth: NDArray[np.floating], box: Box = 
 def decibel(mean_square: float, most: float = 120.0) -> float:
     """Return the PSNR of a mean squared difference for a peak of 1, in dB, at most ``most``."""
     return min(most, float(-10 * np.log10(max(mean_square, _FINEST))))
-
-
-_SIGMA, _RADIUS = 1.5, 5  # pixels: the paper's window of 11 x 11
-_C1, _C2 = 0.01**2, 0.03**2  # for a peak of 1
 
 
 def ssim_map(picture: NDArray[np.floating], truth: NDArray[np.floating]) -> NDArray[np.float64]:

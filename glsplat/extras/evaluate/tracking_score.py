@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from glsplat.errors import PoseError
 from glsplat.extras.learned.network import PoseNetwork, embedded_network
 from glsplat.extras.learned.solver import LearnedSolver
-from glsplat.extras.motions.batch import forward_all
-from glsplat.extras.motions.derive import TrueMotion, derive, truth_from_motion
+from glsplat.extras.motions.derive import TrueMotion, derive, forward_all, truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.rotations import rotation_matrices, unit_vectors
 from glsplat.skinning.skeleton import Skeleton
@@ -33,6 +32,13 @@ LOWER = (1, 2, 4, 5, 7, 8, 10, 11)
 UPPER = (3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
 WINDOW = 10.0  # seconds of a part, to find the part with the largest mean error
 CONTACT = 0.02  # metres above the flat ground up to which the ball of a foot counts as planted
+
+_ARMS = ((13, 16, 18, 20), (14, 17, 19, 21))
+_LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
+_FINGERS = (range(25, 40), range(40, 55))
+
+BASELINES = ("glued", "naive", "naive, untold")
+SOLVERS = (*BASELINES, "analytic", "learned", "learned, head only")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +129,6 @@ def _skate(feet: Array, sole: float, rate: float) -> float:
     speed = np.linalg.norm(np.diff(feet[..., [0, 2]], axis=0), axis=-1) * rate * 100
     planted = low[1:] & low[:-1]
     return float(speed[planted].mean()) if planted.any() else 0.0
-
-
-_ARMS = ((13, 16, 18, 20), (14, 17, 19, 21))
-_LEGS = ((1, 4, 7, 10), (2, 5, 8, 11))
-_FINGERS = (range(25, 40), range(40, 55))
 
 
 def baseline(truth: TrueMotion, kind: Literal["glued", "naive"], rest: Body | None = None) -> Array:
@@ -269,10 +270,6 @@ def _two_bone(root: Array, end: Array, a: float, b: float, pole: Array) -> tuple
     along = (a * a - b * b + far * far) / (2 * far)
     side = unit_vectors(pole - line * (pole @ line)) * np.sqrt(max(a * a - along * along, 0.0))
     return root + line * along + side, root + line * far
-
-
-BASELINES = ("glued", "naive", "naive, untold")
-SOLVERS = (*BASELINES, "analytic", "learned", "learned, head only")
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,13 @@ _WRAP = 0.15  # of Lambert's cosine: (n . l + wrap) / (1 + wrap)
 _FAR, _MAP, _BIAS = 60.0, 768, 0.012  # of the lamp: distance in m, side of its depth map in pixels, depth bias in m
 _TAPS = (-2, 0, 2)  # pixels in both directions, for a soft shadow
 
+_UNEVEN = 0.2  # largest deviation of a step of the turn, as a share of it
+_SWAY = 0.02, 0.008  # standard deviation of a standing person's drift: radians per joint, metres
+_SLOW = 4  # frames between independent drifts
+_STILL = ("pelvis", "jaw", "eye", "index", "middle", "pinky", "ring", "thumb", "foot")
+_NOISE = 1.5  # levels of 255
+_QUALITY = 92  # of the frames' JPEG
+
 
 @dataclass(frozen=True)
 class CaptureLight:
@@ -75,14 +82,6 @@ def _reached(mesh: RiggedMesh, vertices: F64, lamp: F64) -> F64:
             x, y = (np.clip(place.astype(int), 0, _MAP - 1) for place in (column + right, row + down))
             lit += depth[y, x] + _BIAS > seen[:, 2]
     return lit / len(_TAPS) ** 2
-
-
-_UNEVEN = 0.2  # largest deviation of a step of the turn, as a share of it
-_SWAY = 0.02, 0.008  # standard deviation of a standing person's drift: radians per joint, metres
-_SLOW = 4  # frames between independent drifts
-_STILL = ("pelvis", "jaw", "eye", "index", "middle", "pinky", "ring", "thumb", "foot")
-_NOISE = 1.5  # levels of 255
-_QUALITY = 92  # of the frames' JPEG
 
 
 @dataclass(frozen=True, slots=True, eq=False)

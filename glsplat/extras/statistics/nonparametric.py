@@ -16,6 +16,9 @@ from glsplat.arrays import F64
 TIE = 1e-9
 """Values closer than this fraction of the largest magnitude are tied: equal sums may round differently."""
 
+RESAMPLES = 10_000
+LEVEL = 0.95
+
 
 def average_ranks(values: F64) -> F64:
     """Return ranks from 1 along the last axis of [..., N], mean ranks for ties (closer than :data:`TIE`)."""
@@ -67,10 +70,6 @@ def holm(p: Sequence[float]) -> list[float]:
         worst = max(worst, min(1.0, (len(p) - place) * p[index]))
         corrected[index] = worst
     return corrected
-
-
-RESAMPLES = 10_000
-LEVEL = 0.95
 
 
 def interval_of_mean(sample: F64, seed: int = 0) -> tuple[float | None, float | None]:

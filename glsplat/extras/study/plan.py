@@ -21,6 +21,11 @@ from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study
 from glsplat.io.files import open_regular
 
+PLAN = "plan.json"  # file name in the data folder
+
+_VERSION = 1
+MAX_PLAN_BYTES = 16 << 20
+
 
 def williams(count: int) -> list[list[int]]:
     """Return rows of the numbers 0 to count - 1, balanced for position and predecessor.
@@ -102,13 +107,6 @@ def _rows(study: Study, blocks: list[list[str]]) -> list[list[tuple[int, int]]]:
 
 def _shuffled(rng: np.random.Generator, names: Sequence[str]) -> list[str]:
     return [names[number] for number in rng.permutation(len(names))]
-
-
-PLAN = "plan.json"
-"""File name in the data folder."""
-
-_VERSION = 1
-MAX_PLAN_BYTES = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)

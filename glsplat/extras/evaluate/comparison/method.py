@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -83,7 +84,8 @@ def read_figure(file: Path, participant: Participant) -> Rigged:
 def method_of(word: str) -> tuple[str, str | MadeElsewhere]:
     """Parse ``name`` (see OWN, GROUP) or ``name=FOLDER`` into a name and a method. Raises GlsplatError."""
     name, given, folder = word.partition("=")
-    _check_name(name)
+    if len(name) > 40 or not re.fullmatch(r"[^\W_]+([-_][^\W_]+)*", name):  # it becomes a file name
+        raise GlsplatError(f"a method's name has letters, digits, - and _, not {name!r:.50}")
     if not given:
         if name not in PLUGINS.names():
             raise GlsplatError(f'no method is called "{name}"; there are {", ".join(PLUGINS.names())}, or NAME=FOLDER')
@@ -104,25 +106,13 @@ def method_named(name: str, options: Mapping[str, Any]) -> Method:
     return made
 
 
-def _check_name(name: str) -> None:
-    """Raise GlsplatError unless a name can be a file name."""
-    if not name or not all(part.isalnum() for part in name.replace("-", "_").split("_")) or len(name) > 40:
-        raise GlsplatError(f"a method's name has letters, digits, - and _, not {name!r:.50}")
-
-
-@dataclass(frozen=True, eq=False)
-class Product:
-    """An avatar, and facts about its making."""
-
-    figure: Rigged
-    facts: Mapping[str, Any]
-    """kind ("splats" or "triangles"), count, bytes of the file, seconds of making (None: made elsewhere)."""
-
-
 def product(
     name: str, source: str | MadeElsewhere, participant: Participant, out: Path, options: Mapping[str, Any]
-) -> Product:
+) -> tuple[Rigged, dict[str, Any]]:
     """Make the avatar of a participant by the method ``name``, or load it from ``out`` if its inputs are unchanged.
+
+    Returned with it are its kind ("splats" or "triangles"), count, bytes of the file, and seconds of making (None: made
+    elsewhere).
 
     Either way the avatar is read from its file, so that a resumed run gives the same results. Raises GlsplatError
     with one line, also for any error of another package's method.
@@ -143,7 +133,10 @@ def product(
         kept = {"key": wanted, "seconds": seconds, "sha256": digest_of(file)}
         replace_file(note, [json.dumps(kept).encode()])
     figure = _checked(load(file), name)
-    return Product(figure, _facts(figure, file.stat().st_size, kept["seconds"]))
+    count = len(figure.splats) if isinstance(figure, Avatar) else len(figure.faces)
+    kind = "splats" if isinstance(figure, Avatar) else "triangles"
+    facts = {"kind": kind, "count": count, "bytes": file.stat().st_size, "seconds": kept["seconds"]}
+    return figure, facts
 
 
 def key_of(source: str | MadeElsewhere, participant: Participant) -> dict[str, Any]:
@@ -169,12 +162,6 @@ def _checked(figure: Any, name: str) -> Rigged:
     if not is_rigged(figure):
         raise FormatError(f'the method "{name}" returned {figure!r:.80}, not an avatar or a mesh with a skeleton')
     return figure
-
-
-def _facts(figure: Rigged, size: int | None, seconds: float | None) -> dict[str, Any]:
-    splats = isinstance(figure, Avatar)
-    count = len(figure.splats) if isinstance(figure, Avatar) else len(figure.faces)
-    return {"kind": "splats" if splats else "triangles", "count": count, "bytes": size, "seconds": seconds}
 
 
 def _note(path: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ The pixels of the participant's pictures are assigned to body parts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.evaluate.comparison.performance import Performance
-from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes
+from glsplat.extras.evaluate.comparison.protocol import Performance, Protocol, eyes
 from glsplat.extras.evaluate.turntable import CaptureLight, shade_of
 from glsplat.gl.context import create_context
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.renderer import Renderer
 from glsplat.scene import Rigged
-from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import strongest_joint
 
 PARTS = ("face", "head", "hands", "torso", "legs")
@@ -37,6 +35,11 @@ _HANDS = tuple(
 _LEGS = tuple(f"{side}_{name}" for side in ("left", "right") for name in ("hip", "knee", "ankle", "foot"))
 _HAIR = ("hair",)
 _STEP = 40  # levels of 255 between the greys of two parts
+
+_FRONT = 0.03  # metres in front of the head joint: between ears and face
+
+Picture = NDArray[np.uint8]
+_REACH = 0.02  # share of the picture; pixels farther from the figure belong to no body part
 
 
 def labelled_mesh(mesh: RiggedMesh) -> RiggedMesh:
@@ -87,13 +90,6 @@ def _kinds(mesh: RiggedMesh, part: MeshPart) -> NDArray[np.intp]:
     return out
 
 
-_FRONT = 0.03  # metres in front of the head joint: between ears and face
-
-
-Picture = NDArray[np.uint8]
-_REACH = 0.02  # share of the picture; pixels farther from the figure belong to no body part
-
-
 @dataclass(frozen=True, eq=False)
 class StageTruth:
     """The true pictures of both eyes at one moment from one side."""
@@ -116,7 +112,6 @@ class Stage:
         self._used = np.unique(mesh.faces)
         self._size = (protocol.size, protocol.size)
         self._reach = round(_REACH * protocol.size)
-        self._figures: list[Renderer] = []
         self._posed: tuple[int, NDArray[np.float64]] = -1, mesh.vertices
         lit = protocol.light == "capture"
         if lit and light is None:
@@ -138,12 +133,11 @@ class Stage:
         """Renderer and version strings of the driver."""
         return self._context.driver
 
-    def add(self, figure: Rigged) -> int:
-        """Add an avatar and return its number for ``draw``."""
+    def add(self, figure: Rigged) -> Renderer:
+        """Add an avatar and return its renderer of both eyes."""
         renderer = Renderer(figure, size=self._size, views=2, context=self._context)
         self._stack.callback(renderer.release)
-        self._figures.append(renderer)
-        return len(self._figures) - 1
+        return renderer
 
     def truth(self, moment: int, view: str) -> StageTruth:
         """Render the participant at a moment of the performance, from a side."""
@@ -156,10 +150,6 @@ class Stage:
         pictures = self._truth.render(cameras, pose, shade=self._shade)
         labels = self._parts.render(cameras, pose)
         return StageTruth(cameras, pictures, np.stack([regions(labels_of(one), self._reach) for one in labels]))
-
-    def draw(self, figure: int, cameras: Sequence[Camera], pose: Pose) -> Picture:
-        """Render an avatar in a pose for both eyes [2, H, W, 4]."""
-        return self._figures[figure].render(cameras, pose)
 
     def release(self) -> None:
         """Delete all renderers and the context."""

@@ -26,28 +26,41 @@ from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError, one_line
 from glsplat.extras.evaluate.comparison.measure import Reference, Scores
-from glsplat.extras.evaluate.comparison.method import MadeElsewhere, Product, key_of, product
+from glsplat.extras.evaluate.comparison.method import MadeElsewhere, key_of, product
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.performance import (
-    CONTROLS,
-    Performance,
+from glsplat.extras.evaluate.comparison.protocol import (
+    Protocol,
     perform,
     perform_motion,
     recorded,
     tracked,
     true_poses,
 )
-from glsplat.extras.evaluate.comparison.protocol import Protocol
 from glsplat.extras.evaluate.comparison.stage import Stage
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import commit
+from glsplat.renderer import Renderer
+from glsplat.scene import Rigged
 from glsplat.skinning.pose import Pose
-from glsplat.tracking.sample import Sample
 
 Picture = NDArray[np.uint8]
-_SIDE = 192  # height of a picture in pixels
-_STRIP = 18  # height of a row's heading in pixels
-_QUALITY = 85
+_SIDE = 192  # height of a picture of a contact sheet, pixels
+_STRIP = 18  # height of the heading of its rows, pixels
+_QUALITY = 85  # of its JPEG
+
+Tell = Callable[[str, float], None]  # called with a step's name and the finished share of the task
+
+_Product = tuple[Rigged, dict[str, Any]]
+_MAKING = 0.5  # approximate share of a task's time for making avatars
+_DIGITS = 6
+
+log: logging.Logger = logging.getLogger("glsplat.extras.evaluate")
+
+Show = Callable[[int, str, float], None]
+"""Called with a task's index, its current step, and its finished share."""
+
+# one thread per worker, as the last bits of sums depend on the number of threads
+_ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 
 
 class Sheet:
@@ -77,15 +90,6 @@ class Sheet:
         return bytes(data.tobytes())
 
 
-Tell = Callable[[str, float], None]
-"""Called with a step's name and the finished share of the task."""
-
-_MAKING = 0.5  # approximate share of a task's time for making avatars
-_DIGITS = 6
-
-log: logging.Logger = logging.getLogger("glsplat.extras.evaluate")
-
-
 @dataclass(frozen=True, eq=False)
 class Task:
     """One participant and the methods that have no result yet."""
@@ -105,7 +109,7 @@ class Result:
     method: str
     failed: str = ""
     data: Mapping[str, Any] = field(default_factory=dict)
-    """product (see Product.facts), moments, views, values {control: {measure: [M][V][2]}}, parts {control: {part:
+    """product (see ``product``), moments, views, values {control: {measure: [M][V][2]}}, parts {control: {part:
     {measure: [M][V][2], null where it is not visible}}}."""
 
 
@@ -130,7 +134,7 @@ def alone(task: Task) -> list[Result]:
 def work(task: Task, tell: Tell) -> list[Result]:
     """Do a task and return one result per method; a failed one has the reason and is retried in the next run."""
     name = task.participant.name
-    made: dict[str, Product] = {}
+    made: dict[str, _Product] = {}
     results = []
     for index, (method, source) in enumerate(task.methods.items()):
         tell(f"{name}: {method}", _MAKING * index / len(task.methods))
@@ -167,7 +171,7 @@ def _said(error: Exception) -> str:
     return one_line(error)
 
 
-def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tuple[dict[str, Any] | str, Sheet]]:
+def _drawn(task: Task, made: Mapping[str, _Product], tell: Tell) -> dict[str, tuple[dict[str, Any] | str, Sheet]]:
     """Return each method's values, or the reason of its failure, and its contact sheet."""
     protocol, mesh = task.protocol, task.participant.mesh
     performance = perform(mesh, protocol.tasks)
@@ -178,24 +182,29 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
     entries: dict[str, _Entry] = {}
     out: dict[str, tuple[dict[str, Any] | str, Sheet]] = {}
     with Stage(mesh, performance, protocol, task.participant.light) as stage:
-        for method, one in made.items():
+        for method, (figure, _) in made.items():
             try:
-                poses = _poses(one, performance, samples, task)
-                entries[method] = _Entry(stage.add(one.figure), poses, Scores(protocol, moments), Sheet(moments))
+                skeleton = figure.skeleton
+                poses = {  # in the order of CONTROLS
+                    "tracking": tracked(samples, performance.moments, skeleton),
+                    "pose": true_poses(performance, mesh.skeleton, skeleton),
+                }
+                entries[method] = _Entry(stage.add(figure), poses, Scores(protocol, moments), Sheet(moments))
             except Exception as error:
                 out[method] = _said(error), Sheet(moments)
-        for moment, view, share in _moments(moments, protocol) if entries else ():
-            tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * share)
+        pictures = list(np.ndindex(moments, len(protocol.views))) if entries else []
+        for index, (moment, view) in enumerate(pictures):
+            tell(f"{task.participant.name}: pictures", _MAKING + (1 - _MAKING) * index / len(pictures))
             reference = Reference.of(stage.truth(moment, protocol.views[view]), protocol)
             for method, entry in list(entries.items()):
                 try:
-                    _compare(entry, stage, reference, moment, view, protocol.views)
+                    _compare(entry, reference, moment, view, protocol.views)
                 except Exception as error:  # the other avatars go on
                     out[method] = _said(error), entry.sheet
                     del entries[method]
         for method, entry in entries.items():
             data = {
-                "product": dict(made[method].facts),
+                "product": made[method][1],
                 "driver": stage.driver,
                 "made_by": f"{version('glsplat')}, commit {commit() or 'unknown'}",
                 "moments": list(performance.names),
@@ -206,13 +215,13 @@ def _drawn(task: Task, made: Mapping[str, Product], tell: Tell) -> dict[str, tup
     return out
 
 
-def _compare(entry: _Entry, stage: Stage, reference: Reference, moment: int, view: int, views: Sequence[str]) -> None:
+def _compare(entry: _Entry, reference: Reference, moment: int, view: int, views: Sequence[str]) -> None:
     """Draw an avatar under both controls with the truth's cameras, and measure it."""
     side, shown = views[view], view in (0, len(views) // 2)  # front and back, if there are all four
     if shown:
         entry.sheet.put(f"{side}: participant", moment, reference.truth.pictures[0])
     for control, poses in entry.poses.items():
-        pictures = stage.draw(entry.figure, reference.truth.cameras, poses[moment])
+        pictures = entry.renderer.render(reference.truth.cameras, poses[moment])
         entry.scores.add(control, moment, view, reference, pictures)
         if shown:
             entry.sheet.put(f"{side}: by {control}", moment, pictures[0])
@@ -222,26 +231,10 @@ def _compare(entry: _Entry, stage: Stage, reference: Reference, moment: int, vie
 class _Entry:
     """One avatar on the stage."""
 
-    figure: int
+    renderer: Renderer
     poses: Mapping[str, list[Pose]]  # by control
     scores: Scores
     sheet: Sheet
-
-
-def _poses(made: Product, performance: Performance, samples: list[Sample], task: Task) -> dict[str, list[Pose]]:
-    skeleton = made.figure.skeleton
-    by_control = {
-        "tracking": tracked(samples, performance.moments, skeleton),
-        "pose": true_poses(performance, task.participant.mesh.skeleton, skeleton),
-    }
-    return {control: by_control[control] for control in CONTROLS}
-
-
-def _moments(moments: int, protocol: Protocol) -> Iterator[tuple[int, int, float]]:
-    """Yield moment, index of the view, and the share that is finished before it."""
-    total = moments * len(protocol.views)
-    for index, (moment, view) in enumerate(np.ndindex(moments, len(protocol.views))):
-        yield moment, view, index / total
 
 
 def _key(task: Task, method: str) -> dict[str, Any]:
@@ -261,13 +254,6 @@ def _result_file(task: Task, method: str) -> Path:
 def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, [data])
-
-
-Show = Callable[[int, str, float], None]
-"""Called with a task's index, its current step, and its finished share."""
-
-# one thread per worker, as the last bits of sums depend on the number of threads
-_ONE_CORE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 
 
 def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Result]]:
@@ -296,7 +282,10 @@ def run_tasks(tasks: Sequence[Task], jobs: int, show: Show) -> Iterator[list[Res
                     said: tuple[str, float] | list[Result] = connection.recv()
                 except (EOFError, OSError):
                     process.join()
-                    said = _lost(tasks[index], process.exitcode)
+                    task, code = tasks[index], process.exitcode or 0
+                    how = f"signal {-code}" if code < 0 else f"exit code {process.exitcode}"
+                    why = f"the process that worked on {task.participant.name} ended ({how}); memory may have run out"
+                    said = [Result(task.participant.name, method, why) for method in task.methods]
                 if isinstance(said, tuple):
                     show(index, *said)
                     continue
@@ -325,12 +314,6 @@ def _work(task: Task, said: Connection) -> None:
         said.send((step, done))
 
     said.send(work(task, tell))
-
-
-def _lost(task: Task, code: int | None) -> list[Result]:
-    how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
-    why = f"the process that worked on {task.participant.name} ended ({how}); memory may have run out"
-    return [Result(task.participant.name, method, why) for method in task.methods]
 
 
 @contextmanager

@@ -39,6 +39,9 @@ _VARIABLES = ("GALLIUM", "LIBGL", "MESA", "GLSPLAT", "__GL", "__EGL", "CUDA_VISI
 # KiB; GL_NVX_gpu_memory_info: available memory; GL_ATI_meminfo: free for textures
 _FREE_MEMORY = {"GL_NVX_gpu_memory_info": 0x9049, "GL_ATI_meminfo": 0x87FC}
 
+_FEWEST, _MOST = 1_000, 8_192_000  # splats
+_HALVINGS = 3  # of the interval between the largest scene that keeps the rate and the smallest that does not
+
 
 def facts(context: Context) -> dict[str, Any]:
     """Return machine, driver, probed abilities, limits, and the choices of a default renderer of a pair."""
@@ -141,10 +144,6 @@ def _pair() -> list[Camera]:
     head = np.eye(4)
     head[2, 3] = 3.0
     return list(stereo_cameras(head, 0.2, size=_SIZE))
-
-
-_FEWEST, _MOST = 1_000, 8_192_000  # splats
-_HALVINGS = 3  # of the interval between the largest scene that keeps the rate and the smallest that does not
 
 
 def frame_ms(context: Context, subject: Subject, frames: int) -> float:

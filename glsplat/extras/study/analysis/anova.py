@@ -26,6 +26,8 @@ from .table import Effect, Table, effects_of
 
 DRAWS = 25
 
+ModelName = Literal["auto", "rm", "mixed"]
+
 
 def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
     """Return residuals plus the estimated effect (Wobbrock et al. 2011, steps 1 to 3), [..., N].
@@ -91,15 +93,10 @@ def _settled(out: F64, y: F64) -> F64:
 
 def _means(table: Table, subset: Effect, y: F64) -> F64:
     """Return each row's mean over all rows with the same levels of these factors, [..., N]."""
-    if not subset:
-        return np.broadcast_to(y.mean(axis=-1, keepdims=True), y.shape)
-    place = np.ravel_multi_index(tuple(table.codes[:, i] for i in subset), tuple(table.shape[i] for i in subset))
+    place = table.combination(subset)
     member = np.zeros((len(place), int(place.max()) + 1))
     member[np.arange(len(place)), place] = 1
     return (y @ (member / np.maximum(member.sum(axis=0), 1)))[..., place]
-
-
-ModelName = Literal["auto", "rm", "mixed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +105,7 @@ class Model:
 
     table: Table
     kind: Literal["rm", "mixed"]
-    left_out: tuple[str, ...] = ()
-    """Participants who lack a condition, left out by rm (listwise)."""
+    left_out: tuple[str, ...] = ()  # participants who lack a condition, left out by rm (listwise)
 
 
 @dataclass(frozen=True)
@@ -124,8 +120,7 @@ class Contrast:
     df: float
     t: float
     p: float
-    p_holm: float
-    """Corrected for all pairs of this effect."""
+    p_holm: float  # corrected for all pairs of this effect
 
 
 def choose(table: Table, kind: ModelName = "auto") -> Model:

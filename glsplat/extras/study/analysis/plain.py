@@ -22,6 +22,9 @@ from .anova import conditions, name_of
 from .repeated import split
 from .table import Effect, Table, averages
 
+MOST_CONDITIONS = 24
+"""Largest number of conditions of an effect whose pairs are compared: 276 pairs."""
+
 
 @dataclass(frozen=True)
 class EffectSize:
@@ -88,10 +91,6 @@ def cliffs_delta(first: F64, second: F64, *, paired: bool, seed: int = 0) -> Eff
     return EffectSize(float(larger.mean()), float(low), float(high))
 
 
-MOST_CONDITIONS = 24
-"""Largest number of conditions of an effect whose pairs are compared: 276 pairs."""
-
-
 @dataclass(frozen=True)
 class Pair:
     """A test of ``first - second``: Wilcoxon's signed ranks (exact), or Mann-Whitney between participants."""
@@ -104,8 +103,7 @@ class Pair:
     p: float
     p_holm: float
     rank_biserial: float | None
-    delta: EffectSize
-    """Cliff's delta."""
+    delta: EffectSize  # Cliff's delta
 
 
 @dataclass(frozen=True)

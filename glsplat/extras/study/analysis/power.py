@@ -146,8 +146,7 @@ def from_pilot(pilot: Table, participants: int) -> tuple[Draws, Table]:
     factors = {factor.name: factor.levels for factor in pilot.factors}
     between = frozenset(factor.name for factor in pilot.factors if not factor.within)
     table = Planned(factors, participants, between).table
-    inside = [table.shape[i] for i in table.within]
-    place = np.ravel_multi_index(tuple(table.codes[:, i] for i in table.within), inside) if inside else 0 * table.cell
+    place = table.combination(table.within)
     members = [np.flatnonzero(parts.group == group) for group in range(len(parts.sizes))]
 
     def drawn(rng: np.random.Generator, runs: int) -> F64:

@@ -30,6 +30,9 @@ Ints = NDArray[np.intp]
 MOST_CELLS = 256  # conditions of a design
 _NOTHING = {"", "na", "nan", "n/a", "null", "none"}  # how programs write a missing answer
 
+Effect = tuple[int, ...]
+"""Indices of an effect's factors: (0,) is a main effect, (0, 2) an interaction."""
+
 
 @dataclass(frozen=True)
 class Factor:
@@ -53,8 +56,7 @@ class Table:
     participant: Ints
     codes: Ints
     values: F64
-    unanswered: int = 0
-    """Number of rows left out because their value was missing."""
+    unanswered: int = 0  # number of rows left out because their value was missing
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -63,8 +65,8 @@ class Table:
 
     @cached_property
     def cell(self) -> Ints:
-        """Each row's cell of the whole design, [N]; the last factor varies fastest."""
-        return np.asarray(np.ravel_multi_index(tuple(self.codes.T), self.shape))
+        """Each row's cell of the whole design, [N]."""
+        return self.combination(range(len(self.factors)))
 
     @cached_property
     def within(self) -> tuple[int, ...]:
@@ -79,20 +81,15 @@ class Table:
     @cached_property
     def answers(self) -> Ints:
         """Number of each participant's answers to each combination of the within factors, [P, K]."""
-        shape = [self.shape[i] for i in self.within]
-        place = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.within), shape) if shape else 0 * self.cell
-        counts = np.zeros((len(self.names), math.prod(shape)), np.intp)
-        np.add.at(counts, (self.participant, place), 1)
+        counts = np.zeros((len(self.names), math.prod(self.shape[i] for i in self.within)), np.intp)
+        np.add.at(counts, (self.participant, self.combination(self.within)), 1)
         return counts
 
     @cached_property
     def group(self) -> Ints:
         """Each participant's combination of the between factors, [P]."""
-        shape = [self.shape[i] for i in self.between]
-        if not shape:
-            return np.zeros(len(self.names), np.intp)
         out = np.zeros(len(self.names), np.intp)
-        out[self.participant] = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.between), shape)
+        out[self.participant] = self.combination(self.between)
         return out
 
     @property
@@ -105,6 +102,12 @@ class Table:
         """Whether all participants answered all combinations equally often, and groups are of one size."""
         sizes = np.bincount(self.group)
         return bool((self.answers == self.answers[0, 0]).all() and (sizes == sizes[0]).all())
+
+    def combination(self, factors: Sequence[int]) -> Ints:
+        """Return each row's combination of the levels of some factors, [N]; the last factor varies fastest."""
+        if not factors:
+            return np.zeros(len(self.codes), np.intp)
+        return np.asarray(np.ravel_multi_index(tuple(self.codes[:, factors].T), [self.shape[i] for i in factors]))
 
     def of(self, names: Sequence[str]) -> Table:
         """Return the table of these participants alone. Raises FormatError if a combination loses all its answers."""
@@ -249,10 +252,6 @@ def _natural(text: str) -> tuple[tuple[int, float, str], ...]:
     """Return a key that sorts P2 before P10 and 0.5 before 10."""
     parts = re.split(r"(\d+(?:\.\d+)?)", text)
     return tuple((1, float(part), "") if i % 2 else (0, 0.0, part) for i, part in enumerate(parts))
-
-
-Effect = tuple[int, ...]
-"""Indices of an effect's factors: (0,) is a main effect, (0, 2) an interaction."""
 
 
 def effects_of(count: int) -> list[Effect]:

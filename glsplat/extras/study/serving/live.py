@@ -25,11 +25,23 @@ from glsplat.extras.study.session import Event, Session
 from glsplat.extras.study.store import Store
 from glsplat.net.guard.limits import Bucket
 
+log: logging.Logger = logging.getLogger("glsplat.extras.study")
+
 MAX_LOG_BYTES = 64 << 20
-"""Size of a session's log; an hour of a study with 100 questions writes about 30 kB."""
+"""Size of a session's log; an hour of a study with 100 questions writes about 30 kB.
+
+A participant's link may append up to it, at a limited rate; beyond it only necessary events are written: first answers,
+finished questionnaires, tasks that begin.
+"""
 RATE_BYTES_S = 4096.0
-BURST_BYTES = 1 << 20
-"""Twenty answers of 4000 characters, each escaped to 12 bytes."""
+BURST_BYTES = 1 << 20  # twenty answers of 4000 characters, each escaped to 12 bytes
+
+PAGE_TIMEOUT_S = 5.0  # silence after which the participant's page counts as gone
+
+MAX_NOTES = 50  # newest notes shown to the experimenter
+_TICK_S = 0.1
+_RETRY_S = 1.0  # after a failed write
+MAX_DOWNTIME_S = 400 * 86400.0  # of a server; a larger value means a wrong clock
 
 
 class QuotaError(ProtocolError):
@@ -38,40 +50,6 @@ class QuotaError(ProtocolError):
     def __init__(self, message: str, code: str, wait: int | None = None) -> None:
         super().__init__(message, code)
         self.wait = wait
-
-
-class LinkQuota:
-    """Quota of one link. Times are of a monotonic clock. One message may overdraw it; the next one waits."""
-
-    def __init__(self, now: float) -> None:
-        self._bucket = Bucket.full(RATE_BYTES_S, BURST_BYTES, now)
-
-    def check(self, now: float, size: int, makes_progress: bool) -> None:
-        """Raise QuotaError: "full" for a log of ``size`` bytes unless the event is needed, "rate" for a high rate."""
-        if size >= MAX_LOG_BYTES and not makes_progress:
-            raise QuotaError(
-                f"the log of this session is full ({MAX_LOG_BYTES >> 20} MiB): saved answers stay, "
-                "and a running task is not restarted",
-                "full",
-            )
-        if (left := self._bucket.left(now)) <= 0:
-            wait = math.ceil(-left / self._bucket.rate) or 1
-            raise QuotaError(f"answers arrive faster than they can be saved; try again in {wait} s", "rate", wait)
-
-    def charge(self, now: float, nbytes: int) -> None:
-        """Charge appended bytes."""
-        self._bucket.charge(now, nbytes)
-
-
-log: logging.Logger = logging.getLogger("glsplat.extras.study")
-
-PAGE_TIMEOUT_S = 5.0
-"""Silence after which the participant's page counts as gone."""
-
-MAX_NOTES = 50  # newest notes shown to the experimenter
-_TICK_S = 0.1
-_RETRY_S = 1.0  # after a failed write
-MAX_DOWNTIME_S = 400 * 86400.0  # of a server; a larger value means a wrong clock
 
 
 class Live:
@@ -98,7 +76,7 @@ class Live:
         self.figures: dict[str, Any] = {}  # last speed report of the page
         self.changed: Callable[[], None] = lambda: None  # called on every change
         self._clock, self._wall = clock, wall
-        self._quota = LinkQuota(clock())
+        self._quota = Bucket.full(RATE_BYTES_S, BURST_BYTES, clock())  # of the participant's link
         self._started = self._offset = 0.0  # set by ``open``
         self._seen: float | None = None  # last message of the page, by ``clock``
         self._lock = asyncio.Lock()
@@ -172,7 +150,7 @@ class Live:
             if not events:
                 return
             if link:
-                self._quota.check(self._clock(), size, any(map(self.session.makes_progress, events)))
+                self._check_quota(size, any(map(self.session.makes_progress, events)))
             try:
                 await asyncio.to_thread(self.store.append, events)
             except GlsplatError as error:
@@ -187,6 +165,21 @@ class Live:
                 if event.kind == "note":
                     self.notes.append(event)
             self._notify()
+
+    def _check_quota(self, size: int, makes_progress: bool) -> None:
+        """Raise QuotaError: "full" for a log of ``size`` bytes unless the event is needed, "rate" for a high rate.
+
+        One message may overdraw the rate; the next one waits.
+        """
+        if size >= MAX_LOG_BYTES and not makes_progress:
+            raise QuotaError(
+                f"the log of this session is full ({MAX_LOG_BYTES >> 20} MiB): saved answers stay, "
+                "and a running task is not restarted",
+                "full",
+            )
+        if (left := self._quota.left(self._clock())) <= 0:
+            wait = math.ceil(-left / self._quota.rate) or 1
+            raise QuotaError(f"answers arrive faster than they can be saved; try again in {wait} s", "rate", wait)
 
     def _replay(self, event: Event) -> None:
         """Apply an event that was in the log at the start."""
@@ -266,7 +259,8 @@ def for_participant(live: Live) -> dict[str, Any]:
     if task is not None:
         shown |= {"text": task.text, "speak": task.speak, "ready": task.ready, "seconds": task.seconds}
     if step.questionnaire:
-        shown |= _questions(live.study, step.questionnaire) | {"answers": dict(state.answers)}
+        asked = live.study.questionnaires[step.questionnaire]
+        shown |= {"intro": asked.intro, "items": list(map(_item, asked.items)), "answers": dict(state.answers)}
     return shown
 
 
@@ -274,7 +268,6 @@ def for_experimenter(live: Live) -> dict[str, Any]:
     """Return the current step without its questions, and the state of the session."""
     session = live.session
     step = session.step
-    condition = None if step is None or not step.condition else step.condition
     shown = live.condition
     return {
         "revision": live.revision,
@@ -289,7 +282,7 @@ def for_experimenter(live: Live) -> dict[str, Any]:
         "paused": session.state.paused,
         "ended": session.state.ended,
         "number": session.state.at + 1,
-        "condition": condition,
+        "condition": None if shown is None else shown.name,
         "shown": None if shown is None else {"view": shown.view, "latency": shown.latency, "hands": shown.hands},
         "answered": len(session.state.answers),
         "items": 0
@@ -301,11 +294,6 @@ def for_experimenter(live: Live) -> dict[str, Any]:
         "notes": [{"t": round(note.t, 1), "text": note.values["text"]} for note in live.notes],
         "steps": [one.name for one in session.steps],
     }
-
-
-def _questions(study: Study, name: str) -> dict[str, Any]:
-    questionnaire = study.questionnaires[name]
-    return {"intro": questionnaire.intro, "items": list(map(_item, questionnaire.items))}
 
 
 def _item(item: Item) -> dict[str, Any]:

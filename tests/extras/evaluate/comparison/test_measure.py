@@ -12,8 +12,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.comparison.measure import Reference, Scores
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.performance import perform
-from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes
+from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes, perform
 from glsplat.extras.evaluate.comparison.stage import PARTS, Stage, StageTruth, labelled_mesh, labels_of, regions
 from glsplat.gl.context import Context
 

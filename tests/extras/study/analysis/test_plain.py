@@ -10,9 +10,9 @@ import scipy.stats
 
 from glsplat.errors import FormatError
 from glsplat.extras.statistics.nonparametric import holm, wilcoxon
+from glsplat.extras.study.analysis.codebook import reliability
 from glsplat.extras.study.analysis.plain import cliffs_delta, friedman, kruskal_wallis, partial_eta_squared, plain_tests
 from glsplat.extras.study.analysis.power import Planned
-from glsplat.extras.study.analysis.reliability import reliability
 from glsplat.extras.study.analysis.table import make_table
 
 
