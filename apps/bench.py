@@ -9,8 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from glsplat.config import RenderConfig
-from glsplat.extras.evaluate.frames import WARM_UP, Bench
-from glsplat.extras.evaluate.quiet import Quiet, until_quiet
+from glsplat.extras.evaluate.frames import WARM_UP, Bench, Quiet, until_quiet
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import create_context
 from glsplat.io.provenance import machine

@@ -138,14 +138,14 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "until # minutes after the end": "glsplat.extras.uploads.job_queue:_KEEP_ENDED_S / 60",
     },
     "study.md": {
-        "write # MiB at once": "glsplat.extras.study.serving.quota:BURST_BYTES / 2**20",
-        "and # KiB a second": "glsplat.extras.study.serving.quota:RATE_BYTES_S / 1024",
-        "ends at # MiB": "glsplat.extras.study.serving.quota:MAX_LOG_BYTES / 2**20",
+        "write # MiB at once": "glsplat.extras.study.serving.live:BURST_BYTES / 2**20",
+        "and # KiB a second": "glsplat.extras.study.serving.live:RATE_BYTES_S / 1024",
+        "ends at # MiB": "glsplat.extras.study.serving.live:MAX_LOG_BYTES / 2**20",
         "end at # GiB": "glsplat.extras.study.serving.recording:MAX_BYTES / 2**30",
         "less than # MiB": "glsplat.extras.study.serving.recording:MIN_FREE_BYTES / 2**20",
-        "averaged over # draws": "glsplat.extras.study.analysis.align:DRAWS",
+        "averaged over # draws": "glsplat.extras.study.analysis.anova:DRAWS",
         "up to # conditions": "glsplat.extras.study.analysis.plain:MOST_CONDITIONS",
-        "gamma of #": "glsplat.extras.study.serving.light:_GAMMA",
+        "gamma of #": "glsplat.extras.study.serving.lead:_GAMMA",
     },
     "watermark.md": {
         "tile of # x": "glsplat.extras.watermark.pattern:TILE",
@@ -174,7 +174,7 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "a jump over # m": "glsplat.tracking.config:TrackerConfig().teleport",
         "# s without samples": "glsplat.tracking.config:TrackerConfig().gap",
         "a jump for # s": "glsplat.tracking.solve.height_limit:MAX_JUMP_S",
-        "# times a second a GRU": "glsplat.extras.learned.frames:RATE_HZ",
+        "# times a second a GRU": "glsplat.extras.learned.network:RATE_HZ",
     },
     "scaling.md": {
         "then every # s": "glsplat.net.render_loop:_REVIVE_PERIOD_S",

@@ -30,7 +30,7 @@ from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.mesh_fit import STEPS, fitted_to_mesh
 from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar
 from glsplat.extras.formats.person import read_body
-from glsplat.extras.rigs.meshes.rig_map import read_rig_map
+from glsplat.extras.rigs.meshes.rig import read_rig_map
 from glsplat.formats import load_splats, save, suffixes
 from glsplat.formats.motion_files import embedded_motions, load_embedded_motion
 from glsplat.formats.scene_file import upright

@@ -14,7 +14,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.formats.person import read_person
 from glsplat.extras.rigs.meshes.reader import read_gltf_person
-from glsplat.extras.rigs.meshes.rig_map import read_rig_map
+from glsplat.extras.rigs.meshes.rig import read_rig_map
 from glsplat.formats.format import opened
 from glsplat.formats.registry import sniffed
 from glsplat.formats.scene_file import upright

@@ -18,8 +18,7 @@ from glsplat.config import RenderConfig
 from glsplat.data import default_avatar, embedded_file
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.evaluate.avatar_poses import SCORE_POSES
-from glsplat.extras.evaluate.avatar_score import AvatarScore, score
+from glsplat.extras.evaluate.avatar_score import SCORE_POSES, AvatarScore, score
 from glsplat.formats import load_splats
 from glsplat.io.files import replace_file
 from glsplat.meshes import RiggedMesh

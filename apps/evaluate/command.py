@@ -14,23 +14,21 @@ from typing import Any
 
 from glsplat.data import default_avatar, participants_folder
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.comparison.method import OWN, MadeElsewhere, method_of
+from glsplat.extras.evaluate.comparison.method import OWN, method_of
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
-from glsplat.extras.evaluate.comparison.performance import TASKS
-from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, VIEWS, Protocol
-from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finished
-from glsplat.extras.evaluate.comparison.workers import run_tasks
+from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, LIGHTS, TASKS, VIEWS, Protocol
+from glsplat.extras.evaluate.comparison.work import Result, Task, alone, finished, run_tasks
+from glsplat.extras.evaluate.lpips import Lpips
 from glsplat.formats.motion_files import embedded_motions, split_choice
 from glsplat.io.cores import cores
 from glsplat.io.files import locked, replace_file
+from glsplat.optional import require_package
 
 from ..args import motion_of, whole
 from ..progress import Progress
 from ..ray_tasks import add_ray, on_ray
 from ..usage import UsageError, make_folder
-from .html import page
-from .outcome import outcome, plots, table_lines
-from .ready import check_ready
+from .outcome import outcome, page, plots, table_lines
 from .timing import timed
 
 HELP = (
@@ -47,6 +45,8 @@ _QUICK_SIZE = 256
 _WORKER = 1.6e9  # bytes of memory of one process, at most
 # a container's memory limit: cgroups v2, v1
 _LIMITS = "/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"
+
+_SEEING = ("photo", "mesh-image", "mesh-video")  # methods that detect a person in pictures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -94,37 +94,26 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--methods needs different names")
     protocol = _protocol(args)
     people = _people(args)
-    jobs = _jobs(args)
     check_ready(tuple(methods), protocol)
     make_folder(args.output)
     with locked(args.output / "lock"):  # a second run would read half-written files
-        return _run(args, methods, people, protocol, jobs)
-
-
-def _run(
-    args: argparse.Namespace,
-    methods: Mapping[str, str | MadeElsewhere],
-    people: Sequence[Participant],
-    protocol: Protocol,
-    jobs: int,
-) -> int:
-    options = {"seed": args.seed, "quick": args.quick}
-    began = time.perf_counter()
-    out = args.output if args.ray is None else args.output.resolve()  # workers have other working folders
-    results = _results([Task(one, methods, protocol, out, options) for one in people], jobs, args.ray)
-    drawn = plots(results, tuple(methods), args.seed)
-    found = outcome(results, tuple(methods), people, protocol, options, {})
-    found["seconds"] = round(time.perf_counter() - began, 1)
-    _write(found, drawn, args.output)  # the timing may fail
-    print(*table_lines(found), sep="\n", flush=True)
-    if not args.no_timing:
-        try:
-            found["timing"] = timed(results, people, protocol, args.output, args.quick)
-            _write(found, drawn, args.output)
-        except GlsplatError as error:
-            print(f"no timing: {error}", file=sys.stderr)
-    print(args.output / "evaluation.html")
-    return 1 if found["failures"] else 0
+        options = {"seed": args.seed, "quick": args.quick}
+        began = time.perf_counter()
+        out = args.output if args.ray is None else args.output.resolve()  # workers have other working folders
+        results = _results([Task(one, methods, protocol, out, options) for one in people], _jobs(args), args.ray)
+        drawn = plots(results, tuple(methods), args.seed)
+        found = outcome(results, tuple(methods), people, protocol, options, {})
+        found["seconds"] = round(time.perf_counter() - began, 1)
+        _write(found, drawn, args.output)  # the timing may fail
+        print(*table_lines(found), sep="\n", flush=True)
+        if not args.no_timing:
+            try:
+                found["timing"] = timed(results, people, protocol, args.output, args.quick)
+                _write(found, drawn, args.output)
+            except GlsplatError as error:
+                print(f"no timing: {error}", file=sys.stderr)
+        print(args.output / "evaluation.html")
+        return 1 if found["failures"] else 0
 
 
 def _results(tasks: Sequence[Task], jobs: int, ray: str | None) -> list[Result]:
@@ -213,14 +202,11 @@ def _people(args: argparse.Namespace) -> list[Participant]:
 
 
 def _jobs(args: argparse.Namespace) -> int:
+    """Return the number of processes: one per core, as free memory and a container's limit allow."""
     if args.jobs is not None:
         return int(args.jobs)
-    return max(1, min(cores(), math.floor(_memory() / _WORKER)))
-
-
-def _memory() -> float:
-    """Return the free memory in bytes, at most the container's limit; infinity if unknown."""
-    return min(_said("/proc/meminfo", "MemAvailable:") * 1024, *(_said(limit) for limit in _LIMITS))
+    free = min(_said("/proc/meminfo", "MemAvailable:") * 1024, *(_said(limit) for limit in _LIMITS))
+    return max(1, min(cores(), math.floor(free / _WORKER) if free < math.inf else cores()))
 
 
 def _said(file: str, name: str = "") -> float:
@@ -249,3 +235,19 @@ def _write(found: Mapping[str, Any], plots: Mapping[str, bytes], folder: Path) -
         replace_file(folder / name, [data])
     replace_file(folder / "evaluation.json", [json.dumps(found, indent=1, allow_nan=False).encode()])
     replace_file(folder / "evaluation.html", [page(found, pictures).encode()])
+
+
+def check_ready(methods: Sequence[str], protocol: Protocol) -> None:
+    """Raise GlsplatError with the command that installs a missing network or package, before the first avatar."""
+    # here, as the command names the first extra that it lacks: evaluate's own
+    from glsplat.extras.authoring.models.catalogue import PHOTO
+    from glsplat.extras.authoring.models.store import state_of
+
+    if any(method in _SEEING for method in methods) and any(state_of(model) != "here" for model in PHOTO.models):
+        raise GlsplatError(f"the networks that read photographs are not on this machine; run: {PHOTO.command}")
+    Lpips("alex")
+    if "lpips-vgg" in protocol.extra_measures:
+        Lpips("vgg")
+    require_package("the plots", "matplotlib", "evaluate")
+    if "flip" in protocol.extra_measures:
+        require_package("FLIP", "flip_evaluator", "evaluate")

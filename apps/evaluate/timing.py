@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.evaluate.comparison.control import true_poses
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.performance import perform
-from glsplat.extras.evaluate.comparison.protocol import Protocol
+from glsplat.extras.evaluate.comparison.protocol import Protocol, perform, true_poses
 from glsplat.extras.evaluate.comparison.stage import Stage
 from glsplat.extras.evaluate.comparison.work import Result
+from glsplat.extras.evaluate.costs import SIZES, costs
 from glsplat.extras.evaluate.frames import WARM_UP
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.sections.costs import SIZES, costs
+from glsplat.extras.evaluate.lpips import Lpips
 from glsplat.formats.registry import load
 from glsplat.gl.context import create_context
 from glsplat.scene import Rigged, is_rigged
@@ -32,7 +30,11 @@ def timed(
     results: Sequence[Result], people: Sequence[Participant], protocol: Protocol, folder: Path, quick: bool
 ) -> dict[str, Any]:
     """Return costs and latencies of the first participant with avatars of most methods; {} without any."""
-    files = {one.name: _files(results, one, folder) for one in people}
+    files: dict[str, dict[str, Path]] = {one.name: {} for one in people}  # of avatars, by participant and method
+    for result in results:
+        file = folder / "avatars" / result.method / f"{result.participant}.glb"
+        if not result.failed and file.is_file():
+            files[result.participant][result.method] = file
     chosen = max(people, key=lambda one: len(files[one.name]))
     if not files[chosen.name]:
         return {}
@@ -61,28 +63,21 @@ def timed(
     return {"participant": chosen.name, "costs": rows, "latency": streamed}
 
 
-def _files(results: Sequence[Result], one: Participant, folder: Path) -> dict[str, Path]:
-    """Return the file of the participant's avatar by method."""
-    good = [result.method for result in results if result.participant == one.name and not result.failed]
-    files = {method: folder / "avatars" / method / f"{one.name}.glb" for method in good}
-    return {method: file for method, file in files.items() if file.is_file()}
-
-
 def _likeness(one: Participant, figures: Mapping[str, Rigged], protocol: Protocol) -> dict[str, float]:
     """Return the mean LPIPS over the tasks by method, from the front, in the true pose, at the protocol's size."""
     performance = perform(one.mesh, protocol.tasks)
     network = Lpips("alex")
     found: dict[str, list[float]] = {method: [] for method in figures}
     with Stage(one.mesh, performance, protocol, one.light) as stage:
-        places = {method: stage.add(figure) for method, figure in figures.items()}
+        renderers = {method: stage.add(figure) for method, figure in figures.items()}
         poses = {
             method: true_poses(performance, one.mesh.skeleton, figure.skeleton) for method, figure in figures.items()
         }
         for moment in range(len(performance.moments)):
             truth = stage.truth(moment, "front")
             wanted = network.features(truth.pictures[0, ..., :3] / np.float32(255))
-            for method, place in places.items():
-                drawn = stage.draw(place, truth.cameras, poses[method][moment])
+            for method, renderer in renderers.items():
+                drawn = renderer.render(truth.cameras, poses[method][moment])
                 seen = network.features(drawn[0, ..., :3] / np.float32(255))
                 found[method].append(network.distance(seen, wanted))
     return {method: round(float(np.mean(values)), 4) for method, values in found.items()}

@@ -14,11 +14,9 @@ import moderngl
 import numpy as np
 
 from glsplat.camera import Camera
-from glsplat.extras.openxr.cameras import camera_of, sighted
 from glsplat.extras.openxr.eyes import Surroundings
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
-from glsplat.extras.openxr.placing import Place
-from glsplat.extras.openxr.room import surroundings
+from glsplat.extras.openxr.placing import Place, camera_of, sighted, surroundings
 from glsplat.extras.openxr.runtime import FrameTiming, Projection, ViewPose
 from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting

@@ -36,7 +36,7 @@ from ..clip import CLIPS, Clip
 from ..output import label, save_png, side_by_side, stack
 from ..progress import Progress
 from ..usage import UsageError, output_kind
-from .crowd import add_crowd, check_crowd, crowd_text, names_of, stream_crowd
+from .crowd import add_crowd, check_crowd, connection, crowd_text, names_of, requested, stream_crowd
 from .link import Link, link, over
 from .stage_table import comparison_markdown, frame_text, table_text
 from .streaming import Drive, Driven, Result, stream
@@ -119,9 +119,13 @@ def run(args: argparse.Namespace) -> int:
     if args.loop and args.seconds is None:
         with contextlib.suppress(KeyboardInterrupt):
             while True:  # separate runs, so that results do not accumulate
-                _play(args, token, drive, _round(args, seconds, seconds))
+                frames = max(1, round(seconds * args.fps))
+                if args.room is not None:
+                    check_shown(asyncio.run(stream_crowd(args, token, drive, frames)))
+                else:
+                    check_shown([asyncio.run(_stream(args, token, None, args.policy, drive, frames))])
         return 0
-    frames = args.frames or _round(args, seconds if args.seconds is None else args.seconds, args.seconds)
+    frames = args.frames or max(1, round((min(seconds, 20.0) if args.seconds is None else args.seconds) * args.fps))
     if args.room is not None:
         results = asyncio.run(stream_crowd(args, token, drive, frames))
         _report_crowd(args, results)
@@ -139,20 +143,6 @@ def run(args: argparse.Namespace) -> int:
         _report(args, runs[0][2])
     check_shown([result for _, _, result in runs])
     return 0
-
-
-def _play(args: argparse.Namespace, token: str | None, drive: Drive, frames: int) -> None:
-    """Stream once, without a report. Raises GlsplatError if no picture arrives."""
-    if args.room is not None:
-        check_shown(asyncio.run(stream_crowd(args, token, drive, frames)))
-    else:
-        check_shown([asyncio.run(_stream(args, token, None, args.policy, drive, frames))])
-
-
-def _round(args: argparse.Namespace, seconds: float, most: float | None = None) -> int:
-    """Return the number of requests in ``seconds``, of which at most ``most`` (None: 20) count."""
-    frames: int = max(1, round(min(seconds, 20.0 if most is None else most) * args.fps))
-    return frames
 
 
 def check_shown(results: Sequence[Result]) -> None:
@@ -201,22 +191,10 @@ async def _stream(
 ) -> Result:
     bars = not args.json and sys.stderr.isatty()
     async with over(simulated, args.url) as url:
-        options = {"window": args.window, "mirror": args.mirror, "cafile": args.tls_ca, "adapt": not args.fixed}
-        async with Client(url, token, **options) as client:
+        async with Client(url, token, **connection(args)) as client:
             with Progress(frames, policy, quiet=not bars) as bar:
-                return await stream(
-                    client,
-                    drive,
-                    frames=frames,
-                    fps=args.fps,
-                    size=args.size,
-                    quality=args.quality,
-                    crop=args.crop,
-                    policy=policy,
-                    window=args.window or 2,
-                    keep=bool(args.save),
-                    progress=bar.update,
-                )
+                asked = requested(args) | {"frames": frames, "policy": policy, "keep": bool(args.save)}
+                return await stream(client, drive, progress=bar.update, **asked)
 
 
 @dataclass(frozen=True)

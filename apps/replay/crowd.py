@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from glsplat.camera import Camera, head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
@@ -49,6 +50,16 @@ def names_of(args: argparse.Namespace) -> list[str]:
     return [f"{args.name or 'replay'} {number}" for number in range(1, args.people + 1)]
 
 
+def connection(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of ``Client`` that all kinds of run share."""
+    return {"window": args.window, "mirror": args.mirror, "cafile": args.tls_ca, "adapt": not args.fixed}
+
+
+def requested(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of ``stream`` that all kinds of run share."""
+    return {"window": args.window or 2} | {name: getattr(args, name) for name in ("fps", "size", "quality", "crop")}
+
+
 def own_eyes(seconds: float, driven: Driven, size: tuple[int, int]) -> tuple[Camera, Camera]:
     """Return the eyes of the tracked head."""
     head = None if driven.tracking is None else driven.tracking.get("head")
@@ -61,19 +72,7 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
     """Return one result per person. A person who is refused or removed ends the run for all."""
     bars = not args.json and sys.stderr.isatty()
     names = names_of(args)
-    clients = [
-        Client(
-            args.url,
-            token,
-            window=args.window,
-            adapt=not args.fixed,
-            mirror=args.mirror,
-            room=args.room,
-            name=name or None,
-            cafile=args.tls_ca,
-        )
-        for name in names
-    ]
+    clients = [Client(args.url, token, room=args.room, name=name or None, **connection(args)) for name in names]
     with Progress(frames * len(clients), args.room, quiet=not bars) as bar:
         try:
             for client in clients:
@@ -83,15 +82,11 @@ async def stream_crowd(args: argparse.Namespace, token: str | None, drive: Drive
                     client,
                     Later(drive, _OFFSET_S * number),
                     frames=frames,
-                    fps=args.fps,
-                    size=args.size,
-                    quality=args.quality,
-                    crop=args.crop,
                     policy=args.policy,
-                    window=args.window or 2,
                     keep=bool(args.save) and number == 0,
                     progress=bar.update,
                     see=own_eyes,
+                    **requested(args),
                     hide=() if args.mirror else ("head",),
                 )
                 for number, client in enumerate(clients)

@@ -23,6 +23,8 @@ _IPD_M = 0.063
 _EXPOSURE = 1.8  # of the studio's light, for dark skin, too
 _TOP, _BOTTOM = 235, 190  # grey behind the person
 
+_GAP_PX = 4
+
 
 @dataclass(frozen=True, slots=True)
 class _Framing:
@@ -46,7 +48,6 @@ class _Framing:
 _FACE = _Framing((768, 1152), 0.0, 0.7, 0.80, 1.04)
 _WHOLE = _Framing((384, 640), 0.7, 2.0, -0.04, 1.12)
 _WAIST_UP = _Framing((384, 508), 2.7, 2.0, 0.52, 1.10)
-_GAP_PX = 4
 
 
 async def portrait_sheet(client: Client, drive: Drive) -> Image:

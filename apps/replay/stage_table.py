@@ -67,18 +67,16 @@ def comparison_markdown(runs: Sequence[tuple[str, str, Result]]) -> str:
             f"| {more:.1f} | {more95:.1f} | {median_p95(result.waits)[0]:.1f} "
             f"| {reply95:.0f} | {result.age_bound:.0f} | {age[0]:.0f} | {age[1]:.0f} | {size:.0f} |"
         )
-    return "\n".join([*lines, "", *_measured_on([result for _, _, result in runs])]) + "\n"
-
-
-def _measured_on(results: Sequence[Result]) -> list[str]:
-    driver = next((r.driver for r in results if r.driver), "unknown driver")
+    driver = next((result.driver for _, _, result in runs if result.driver), "unknown driver")
     facts = machine()
     packages = ", ".join(f"{name} {version(name)}" for name in ("moderngl", "numpy", "aiohttp", "simplejpeg"))
-    return [
+    lines += [
+        "",
         f"Milliseconds. {driver}; {facts['machine']}, {facts['cores']} cores, {platform.system()}; "
         f"Python {platform.python_version()}, {packages};",
         f"{facts['date']}, client on this machine.",
     ]
+    return "\n".join(lines) + "\n"
 
 
 def _rows(result: Result) -> list[tuple[str, str, float, float]]:

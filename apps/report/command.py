@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.avatar import Avatar, splats_of
-from glsplat.extras.evaluate.difference import require_extra
+from glsplat.extras.evaluate.costs import features_of, left_out, unmoved
+from glsplat.extras.evaluate.frames import Watch
 from glsplat.extras.evaluate.precision import lpips_if_there, measure
-from glsplat.extras.evaluate.quiet import Watch
-from glsplat.extras.evaluate.sections.left_out import features_of, left_out, unmoved
 from glsplat.extras.evaluate.stability.extremes import all_cases
 from glsplat.extras.evaluate.stability.frame import judge
 from glsplat.extras.evaluate.subjects import PERSON_SPLATS, Subject, check_cameras, subjects_of
@@ -27,6 +26,7 @@ from glsplat.formats import suffixes
 from glsplat.gl.context import Context, create_context
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
+from glsplat.optional import require_package
 from glsplat.skinning.driven import why_not_driven
 
 from ..args import whole
@@ -71,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure, write the report and print failures; return 1 if a stability case failed."""
     frames = (8 if args.quick else 24) if args.frames is None else args.frames
     size = (128 if args.quick else 256) if args.size is None else args.size
-    require_extra()
+    for package in ("flip_evaluator", "matplotlib"):
+        require_package("the report", package, "report")
     check_cameras(args.cameras, args.scenes)
     paths = [None, *dict.fromkeys(args.scenes)]
     subjects = [s for path in paths for s in subjects_of(path, size, args.cameras)]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from glsplat.extras.evaluate.frames import MAX_SHARE, Quiet
 from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, advice
-from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 
 from ..page import document, escaped, image_of, number_of, table_of
 
@@ -85,39 +85,21 @@ def _left_out(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> list[
     rows = []
     for row in result["left_out"]:
         lean, full = row["lean"], row["full"]
-        rows.append(
-            [
-                row["feature"],
-                row["how"],
-                lean["ms"]["median"],
-                full["ms"]["median"],
-                f"{number_of(lean['ms']['cpu'])} / {number_of(full['ms']['cpu'])}",
-                row["cost"],
-                f"{lean['programs']} / {full['programs']}",
-                f"{lean['buffers']} / {full['buffers']}",
-                " ".join(stage for stage in full["passes"] if stage not in lean["passes"]) or "-",
-                _bytes(lean["bytes"], result["left_out_splats"]),
-                _bytes(full["bytes"], result["left_out_splats"]),
-                f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)"),
-            ]
-        )
-    names = [
-        "feature",
-        "present but unused",
-        "without (ms)",
-        "with (ms)",
-        "ms of CPU",
-        "cost",
-        "programs",
-        "buffers",
-        "more passes",
-    ]
+        cpu = f"{number_of(lean['ms']['cpu'])} / {number_of(full['ms']['cpu'])}"
+        times = [lean["ms"]["median"], full["ms"]["median"], cpu, row["cost"]]
+        counts = [f"{lean[key]} / {full[key]}" for key in ("programs", "buffers")]
+        more = " ".join(stage for stage in full["passes"] if stage not in lean["passes"]) or "-"
+        sizes = [_bytes(side["bytes"], result["left_out_splats"]) for side in (lean, full)]
+        apart = f"{row['apart']:.1e}" + ("" if row["same_picture"] else " (NOT one picture)")
+        rows.append([row["feature"], row["how"], *times, *counts, more, *sizes, apart])
+    names = ["feature", "present but unused", "without (ms)", "with (ms)", "ms of CPU", "cost"]
+    names += ["programs", "buffers", "more passes"]
     names += ["bytes per splat without", "with", "difference of pictures"]
     still = result["unmoved"]
-    rest = [["moved", still["moved_ms"]["median"], still["moved_ms"]["cpu"], " ".join(still["moved_passes"])]]
-    rest.append(
-        ["unmoved", still["unmoved_ms"]["median"], still["unmoved_ms"]["cpu"], " ".join(still["unmoved_passes"])]
-    )
+    rest = [
+        [name, still[f"{name}_ms"]["median"], still[f"{name}_ms"]["cpu"], " ".join(still[f"{name}_passes"])]
+        for name in ("moved", "unmoved")
+    ]
     return [
         "<h2>2. What is left out</h2>",
         image_of(pictures, "left_out.png"),

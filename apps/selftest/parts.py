@@ -17,10 +17,9 @@ from typing import Any, NamedTuple
 
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.sections.costs import SIZES, costs
-from glsplat.extras.evaluate.selftest.driver import context_cases, facts
+from glsplat.extras.evaluate.costs import SIZES, costs
+from glsplat.extras.evaluate.selftest.driver import context_cases, facts, frame_ms, largest_scene
 from glsplat.extras.evaluate.selftest.paths import contract_cases
-from glsplat.extras.evaluate.selftest.speed import frame_ms, largest_scene
 from glsplat.extras.evaluate.stability.frame import Case, Outcome, frame_cases, judge
 from glsplat.extras.evaluate.stability.skin import skin_cases
 from glsplat.extras.evaluate.subjects import Subject

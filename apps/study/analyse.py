@@ -12,8 +12,15 @@ from typing import Any
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.analysis.analysis import Analysis, analyse
-from glsplat.extras.study.analysis.codebook import Codebook, Measure, item_answers, read_codebook, wide_items
-from glsplat.extras.study.analysis.reliability import Reliability, reliability
+from glsplat.extras.study.analysis.codebook import (
+    Codebook,
+    Measure,
+    Reliability,
+    item_answers,
+    read_codebook,
+    reliability,
+    wide_items,
+)
 from glsplat.extras.study.analysis.table import Table, read_rows, read_table
 from glsplat.io.files import replace_file
 from glsplat.optional import has_package, missing_package
@@ -97,15 +104,10 @@ def run(args: argparse.Namespace) -> int:
     for name, data in written.items():
         replace_file(folder / name, [data])
     for analysis in analyses:
-        print(_line(analysis))
+        clear = ", ".join(row.effect for row in analysis.effects if row.clear) or "no effect"
+        print(f"{analysis.table.response}: {clear} at p < .05, {len(analysis.table.names)} participants")
     print(f"{folder}: {', '.join(sorted(written))}")
     return 0
-
-
-def _line(analysis: Analysis) -> str:
-    found = [row.effect for row in analysis.effects if row.clear]
-    clear = ", ".join(found) or "no effect"
-    return f"{analysis.table.response}: {clear} at p < .05, {len(analysis.table.names)} participants"
 
 
 def _folder(name: str) -> Path:

@@ -11,17 +11,15 @@ from functools import partial
 from importlib import import_module, resources
 from pathlib import Path
 
-from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study, read_study
 from glsplat.extras.study.export import export
-from glsplat.extras.study.orders import cycle
-from glsplat.extras.study.plan import PLAN, Plan, checked_plan, label, make_plan, read_plan, write_plan
+from glsplat.extras.study.plan import PLAN, checked_plan, cycle, label, make_plan, read_plan, write_plan
 from glsplat.extras.study.questionnaires import embedded
 from glsplat.extras.study.store import remove
 from glsplat.io.files import replace_file
 
 from ..progress import Progress
-from ..usage import CommandParser, UsageError
+from ..usage import CommandParser, UsageError, make_folder
 from .files import avatar_files, data_of
 
 HELP = "A user study: check its design, write the plan, run its sessions, export tidy tables."
@@ -97,10 +95,7 @@ def new(args: argparse.Namespace) -> int:
     home = resources.files("glsplat.extras.study")
     copies = {"study.toml": home / "examples" / ("paper.toml" if args.paper else "first.toml")}
     copies |= {f"instruments/{name}.toml": home / "instruments" / f"{name}.toml" for name in embedded()}
-    try:
-        (folder / "instruments").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f"{folder}: cannot be made ({error.strerror or error})") from None
+    make_folder(folder / "instruments")
     for name, source in copies.items():
         if (folder / name).exists():
             print(f"{folder / name}: stays as it is")
@@ -175,7 +170,8 @@ def run_study(args: argparse.Namespace) -> int:
 
 def run_export(args: argparse.Namespace) -> int:
     """Write the tables and print remarks about the data."""
-    study, made = _planned(args)
+    study = read_study(args.study)
+    made = checked_plan(data_of(args.study, args.data), study)
     with Progress(0, "participants") as bar:
 
         def progress(done: int, of: int) -> None:
@@ -207,11 +203,6 @@ def _print_some(lines: Sequence[str], kind: str) -> None:
         print(f"  {line}")
     if len(lines) > MAX_LINES:
         print(f"  ... and {len(lines) - MAX_LINES} more {kind}")
-
-
-def _planned(args: argparse.Namespace) -> tuple[Study, Plan]:
-    study = read_study(args.study)
-    return study, checked_plan(data_of(args.study, args.data), study)
 
 
 def _number(study: Study, number: int) -> int:

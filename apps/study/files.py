@@ -14,8 +14,7 @@ from ..usage import UsageError
 if TYPE_CHECKING:
     from glsplat.extras.study.analysis.codebook import Codebook
 
-DEFAULT = "default"
-"""The avatar that comes with glsplat."""
+DEFAULT = "default"  # the avatar that comes with glsplat
 
 
 def data_of(design: Path, given: Path | None) -> Path:

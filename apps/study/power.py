@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from glsplat.extras.study.analysis.codebook import read_codebook
 from glsplat.extras.study.analysis.power import Planned, Power, from_pilot, power
@@ -70,18 +70,25 @@ def run(args: argparse.Namespace) -> int:
     if not args.pilot and not factors:
         raise UsageError("name the factors by --within and --between, or give --study or --pilot")
     effects = dict(_effect(text) for text in args.effect)
+    if args.pilot:
+        path = Path(args.pilot)
+        columns = factors_of(args.factors, read_codebook(path.with_suffix(".json")), path)
+        pilot = read_table(path, columns, response=args.response, measure=args.measure)
     results: list[tuple[int, list[Power]]] = []
     with Progress(args.runs * len(counts), "studies") as bar:
         for count in counts:
             if args.pilot:
-                draws, table = from_pilot(_pilot(args), count)
+                draws, table = from_pilot(pilot, count)
             else:
                 plan = Planned(factors, count, frozenset(between), args.correlation, args.points)
                 draws, table = plan.draws(effects), plan.table
             rows = power(draws, table, runs=args.runs, alpha=args.alpha, seed=args.seed, progress=bar.update)
             results.append((count, rows))
     if args.json:
-        print(json.dumps([_numbers(count, row) for count, rows in results for row in rows]))
+        numbers = [
+            {"participants": count, **asdict(row), "power": row.power} for count, rows in results for row in rows
+        ]
+        print(json.dumps(numbers))
         return 0
     width = max(len(row.effect) for row in results[0][1])
     for count, rows in results:
@@ -89,11 +96,6 @@ def run(args: argparse.Namespace) -> int:
         for row in rows:
             print(f"  {row.effect:{width}}  power {row.power:.3f}   95 % [{row.low:.3f}, {row.high:.3f}]")
     return 0
-
-
-def _numbers(count: int, row: Power) -> dict[str, Any]:
-    own = {"participants": count, "effect": row.effect, "runs": row.runs, "found": row.found}
-    return own | {"power": row.power, "low": row.low, "high": row.high}
 
 
 def _design(args: argparse.Namespace) -> tuple[dict[str, Sequence[str]], set[str], int]:
@@ -124,9 +126,3 @@ def _effect(text: str) -> tuple[str, list[float]]:
         return name.strip(), [float(number) for number in numbers.split(",")]
     except ValueError:
         raise UsageError(f"--effect needs NAME=NUMBER or NAME=NUMBER,NUMBER,..., not {text!r}") from None
-
-
-def _pilot(args: argparse.Namespace) -> Any:
-    path = Path(args.pilot)
-    book = read_codebook(path.with_suffix(".json"))
-    return read_table(path, factors_of(args.factors, book, path), response=args.response, measure=args.measure)

@@ -33,7 +33,7 @@ def r_script(
 def _measure(analysis: Analysis, participant: str, response: str, long: bool) -> list[str]:
     table, model = analysis.table, analysis.model
     names = [_symbol(factor.name, i) for i, factor in enumerate(table.factors)]
-    lines = [f"# {_comment(table.response)}"]
+    lines = ["# " + re.sub(r"[\r\n]+", " ", table.response)]
     lines.append(f'd <- whole[whole[["measure"]] == {_text(table.response)}, ]' if long else "d <- whole")
     lines += [
         f"d$answer <- as.numeric(d[[{_text(response)}]])",
@@ -102,7 +102,3 @@ def _text(text: str) -> str:
     """Return text as a string literal of R."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\r", "\\r")
     return f'"{escaped}"'
-
-
-def _comment(text: str) -> str:
-    return re.sub(r"[\r\n]+", " ", text)

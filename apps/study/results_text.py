@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from glsplat.extras.study.analysis.analysis import ALPHA, Analysis, EffectRow
 from glsplat.extras.study.analysis.anova import Contrast
-from glsplat.extras.study.analysis.effect_sizes import EffectSize
-from glsplat.extras.study.analysis.plain import Omnibus
-from glsplat.extras.study.analysis.reliability import Reliability
+from glsplat.extras.study.analysis.codebook import Reliability
+from glsplat.extras.study.analysis.plain import EffectSize, Omnibus
 
 
 def results_text(analyses: Sequence[Analysis], scales: Mapping[str, Reliability] | None = None) -> str:
@@ -29,7 +28,7 @@ def _chapter(analysis: Analysis, scale: Reliability | None) -> str:
     parts.append(_tests(analysis))
     parts.append(_plain(analysis.plain, analysis.plain_left_out))
     parts.append("### Answers by condition\n\n" + _cells(analysis))
-    parts.append("### F tests on aligned ranks\n\n" + _effects(analysis))
+    parts.append("### F tests on aligned ranks\n\n" + _effects(analysis.effects))
     if analysis.contrasts:
         parts.append(
             "### Pairs of conditions (ART-C, p by Holm within each effect)\n\n" + _contrasts(analysis.contrasts)
@@ -167,65 +166,39 @@ def _cells(analysis: Analysis) -> str:
     return _table(["condition", "n", "mean", "SD", "median", "middle half"], rows)
 
 
-def _effects(analysis: Analysis) -> str:
-    def row(r: EffectRow) -> list[str]:
-        epsilon = "" if r.epsilon is None else f"{r.epsilon:.3f}"
-        corrected = "" if r.p_corrected is None else _exact(r.p_corrected)
-        eta = r.eta_squared
-        spread = ["", ""] if r.p_spread is None or r.f_spread is None else [_four(r.f_spread), _exact(r.p_spread)]
-        return [
-            r.effect,
-            _four(r.f),
-            _df(r.df1),
-            _df(r.df2),
-            _exact(r.p),
-            epsilon,
-            corrected,
-            _share(eta.value),
-            _interval(eta),
-            *spread,
-        ]
-
+def _effects(rows: Sequence[EffectRow]) -> str:
+    made = []
+    for r in rows:
+        tested = [_four(r.f), _df(r.df1), _df(r.df2), _exact(r.p)]
+        sphericity = [_or_blank(r.epsilon, "{:.3f}".format), _or_blank(r.p_corrected, _exact)]
+        spread = [_or_blank(r.f_spread, _four), _or_blank(r.p_spread, _exact)]
+        size = [_share(r.eta_squared.value), _interval(r.eta_squared)]
+        made.append([r.effect, *tested, *sphericity, *size, *spread])
     header = ["effect", "F", "df1", "df2", "p", "epsilon (GG)", "p (GG)", "partial eta squared", "95% CI"]
-    header += ["F (ties spread)", "p (ties spread)"]
-    return _table(header, [row(r) for r in analysis.effects])
+    return _table([*header, "F (ties spread)", "p (ties spread)"], made)
 
 
 def _contrasts(rows: Sequence[Contrast]) -> str:
-    made = [
-        [
-            r.effect,
-            f"{r.first} - {r.second}",
-            _four(r.estimate),
-            _four(r.se),
-            _df(r.df),
-            _four(r.t),
-            _exact(r.p),
-            _exact(r.p_holm),
-        ]
-        for r in rows
-    ]
+    made = []
+    for r in rows:
+        tested = [_four(r.estimate), _four(r.se), _df(r.df), _four(r.t), _exact(r.p), _exact(r.p_holm)]
+        made.append([r.effect, f"{r.first} - {r.second}", *tested])
     return _table(["effect", "pair", "difference of ranks", "SE", "df", "t", "p", "p (Holm)"], made)
 
 
 def _plain_table(rows: Sequence[Omnibus]) -> str:
-    made = [
-        [
-            pair.effect,
-            f"{pair.first} - {pair.second}",
-            pair.test,
-            str(pair.n),
-            _exact(pair.p),
-            _exact(pair.p_holm),
-            "" if pair.rank_biserial is None else f"{pair.rank_biserial:.2f}",
-            f"{pair.delta.value:.2f}",
-            f"[{pair.delta.low:.2f}, {pair.delta.high:.2f}]",
-        ]
-        for row in rows
-        for pair in row.pairs
-    ]
-    header = ["effect", "pair", "test", "n", "p", "p (Holm)", "rank-biserial r", "Cliff's delta", "95% CI (bootstrap)"]
-    return _table(header, made)
+    made = []
+    for pair in (pair for row in rows for pair in row.pairs):
+        tested = [pair.test, str(pair.n), _exact(pair.p), _exact(pair.p_holm)]
+        delta = [f"{pair.delta.value:.2f}", f"[{pair.delta.low:.2f}, {pair.delta.high:.2f}]"]
+        effect = _or_blank(pair.rank_biserial, "{:.2f}".format)
+        made.append([pair.effect, f"{pair.first} - {pair.second}", *tested, effect, *delta])
+    header = ["effect", "pair", "test", "n", "p", "p (Holm)", "rank-biserial r", "Cliff's delta"]
+    return _table([*header, "95% CI (bootstrap)"], made)
+
+
+def _or_blank(value: float | None, text_of: Callable[[float], str]) -> str:
+    return "" if value is None else text_of(value)
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.evaluate.tracking_rows import SOLVERS, Row, rows_of
-from glsplat.extras.evaluate.tracking_score import WINDOW, mean_score
+from glsplat.extras.evaluate.tracking_score import SOLVERS, WINDOW, Row, mean_score, rows_of
 from glsplat.extras.learned.network import load_network
 from glsplat.formats.motion_files import embedded_motions
 from glsplat.tracking.config import TrackerConfig

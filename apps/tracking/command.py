@@ -32,8 +32,7 @@ from ..args import motion_of, natural, not_negative, positive
 from ..progress import each
 from ..usage import CommandParser, UsageError
 from .bench import add_bench
-from .options import add_recording, add_skeleton, samples_of, skeleton_of, tracker_of
-from .pose_track import read_poses
+from .options import add_recording, add_skeleton, read_poses, samples_of, skeleton_of, tracker_of
 from .show import add_show
 
 HELP = "Head and hand tracking to a full-body pose: derive it from motions, calibrate, solve, score, show, bench."

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.data import default_avatar
-from glsplat.extras.evaluate.baseline import baseline
+from glsplat.extras.evaluate.tracking_score import baseline
 from glsplat.extras.formats.npz import array_names
 from glsplat.extras.motions.derive import derive, truth_from_motion, with_expressions
 from glsplat.io.files import open_regular
@@ -27,8 +27,7 @@ from ..clip import CLIPS, Clip
 from ..output import label, save_png, stack
 from ..progress import each
 from ..usage import UsageError, output_kind
-from .options import add_recording, samples_of, skeleton_of, tracker_of
-from .pose_track import read_poses
+from .options import add_recording, read_poses, samples_of, skeleton_of, tracker_of
 
 Image = NDArray[np.uint8]
 
@@ -137,11 +136,8 @@ class Painter:
     def __init__(
         self, args: argparse.Namespace, tracker: Tracker, others: list[tuple[NDArray[np.float64], Colour]]
     ) -> None:
-        self.args, self.tracker, self.others = (
-            args,
-            tracker,
-            others,
-        )  # other bodies [T, 55, 3] to be drawn, in the world
+        self.args, self.tracker = args, tracker
+        self.others = others  # other bodies [T, 55, 3] to be drawn, in the world
         self.avatar = None if args.stick else self._avatar(args.avatar)
         self.renderer: Any = None
 

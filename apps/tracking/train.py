@@ -80,7 +80,9 @@ def train(args: argparse.Namespace) -> int:
             clips += clips_of(group, standing, skeleton, made=True)
     if dropped:
         print(f"left out, as the head looks away from the body throughout: {', '.join(dropped)}", file=sys.stderr)
-    out = _left_out(sorted({clip.group for clip in clips}), held)
+    names = sorted({clip.group for clip in clips})
+    order = np.random.default_rng(5).permutation(len(names))  # a fixed random order, of which every N-th is left out
+    out = set() if held is None else {names[i] for i in order[held[0] :: held[1]]}
     seen = [clip for clip in clips if clip.group not in out]
     if not seen:
         raise FormatError("no motion of a second or more is left to learn from")
@@ -120,11 +122,3 @@ def _part(text: str | None) -> tuple[int, int] | None:
     if match is None or not 1 <= int(match[1]) <= int(match[2]) or int(match[2]) < 2:
         raise UsageError(f"--hold-out needs K/N, such as 1/5, not {text!r:.40}")
     return int(match[1]) - 1, int(match[2])
-
-
-def _left_out(groups: list[str], held: tuple[int, int] | None) -> set[str]:
-    """Return every N-th group of a fixed random order."""
-    if held is None:
-        return set()
-    order = np.random.default_rng(5).permutation(len(groups))
-    return {groups[i] for i in order[held[0] :: held[1]]}

@@ -1,5 +1,5 @@
 // Copies the float layers to a headset's images, an instance per eye, without filtering; row 0 is the bottom there.
-// ROOM adds the frame and glass of a mirror, and a floor. Twin of the planes: extras/openxr/room.py.
+// ROOM adds the frame and glass of a mirror, and a floor. Twin of the planes: extras/openxr/placing.py.
 uniform sampler2DArray target;
 uniform int first;  // the eye of the first instance
 uniform int rows;   // pixels of an image

@@ -33,7 +33,7 @@ def why_not_driven(skeleton: Skeleton | None) -> str:
         return "" if np.abs(axes - axes[0]).max() <= _TOLERANCE else "the axes of its joints are not parallel at rest"
     if sorted(skeleton.names) == sorted(JOINT_NAMES):
         return "its joints are not in SMPL-X's order; glsplat avatar import puts them there"
-    undriven = plugin("rigs.undriven")
+    undriven = plugin("rigs.humanoid")
     if undriven is not None:
         return str(undriven.why_undriven(skeleton))
     return f"its {len(skeleton)} joints are not the 55 of SMPL-X; glsplat avatar import puts a person on those"

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from apps.cli import main
-from apps.evaluate import command, plots, ready
+from apps.evaluate import command, plots
 from glsplat import data
 from glsplat.data import participants_folder
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.comparison import measure
 from glsplat.extras.evaluate.comparison.work import work
-from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.lpips import Lpips
 from tests.apps.cli import mistake
 from tests.extras.evaluate.comparison.conftest import Pixels, plugged  # noqa: F401
 
@@ -29,7 +29,7 @@ def no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plots, "png_of", lambda figure: b"\x89PNG")
     monkeypatch.setattr(measure, "flip", lambda one, other: float(np.abs(one - other).mean()))
     monkeypatch.setattr(measure, "_network", lambda kind: Pixels())
-    monkeypatch.setattr(ready, "Lpips", lambda kind: None)
+    monkeypatch.setattr(command, "Lpips", lambda kind: None)
     here = lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks]  # noqa: E731
     monkeypatch.setattr(command, "run_tasks", here)
 
@@ -130,7 +130,7 @@ def test_what_is_missing_is_said_before_the_work(alone, capsys, monkeypatch, tmp
     monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path / "none"))
     assert main(["evaluate", *alone, "--methods", "photo", *QUICK, "-o", str(tmp_path / "out")]) == 1
     assert "run: glsplat models get\n" in capsys.readouterr().err
-    monkeypatch.setattr(ready, "Lpips", Lpips)
+    monkeypatch.setattr(command, "Lpips", Lpips)
     assert main(["evaluate", *alone, "--methods", "scan", *QUICK, "-o", str(tmp_path / "out")]) == 1
     assert "run: glsplat models get lpips\n" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

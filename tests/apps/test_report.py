@@ -16,7 +16,7 @@ from apps.cli import main
 from apps.report import command as report
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate import subjects as report_subjects
-from glsplat.extras.evaluate.sections.left_out import features_of, left_out
+from glsplat.extras.evaluate.costs import features_of, left_out
 from glsplat.extras.evaluate.stability import frame as report_stability
 from glsplat.extras.evaluate.stability.extremes import all_cases
 from glsplat.extras.evaluate.stability.frame import Case, Outcome, camera, frame_cases, judge, picture_case

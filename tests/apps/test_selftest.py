@@ -13,7 +13,7 @@ import pytest
 from apps.cli import main
 from apps.selftest import command, parts
 from glsplat.extras.evaluate.selftest import paths
-from glsplat.extras.evaluate.selftest.speed import largest_scene
+from glsplat.extras.evaluate.selftest.driver import largest_scene
 from glsplat.extras.evaluate.stability.frame import judge
 from glsplat.gl.context import Context
 from glsplat.renderer import Renderer
@@ -112,7 +112,7 @@ def test_the_largest_scene_is_between_what_keeps_the_rate_and_what_does_not(
     def linear(context: Context, subject: Any, frames: int) -> float:
         return len(subject.scene) / 1000
 
-    monkeypatch.setattr("glsplat.extras.evaluate.selftest.speed.frame_ms", linear)
+    monkeypatch.setattr("glsplat.extras.evaluate.selftest.driver.frame_ms", linear)
     found = largest_scene(context, hertz=72)  # 13,889 splats
     assert found["splats"] == 13_000 and [13_000, 13.0] in found["tried"] and [14_000, 14.0] in found["tried"]
     assert largest_scene(context, hertz=2000)["splats"] == 0

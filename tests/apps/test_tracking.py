@@ -13,8 +13,7 @@ import pytest
 from apps import cli
 from apps.tracking.bench import table
 from apps.tracking.show import BONE, NAIVE, TRUE
-from glsplat.extras.evaluate.tracking_rows import Row
-from glsplat.extras.evaluate.tracking_score import TrackingScore
+from glsplat.extras.evaluate.tracking_score import Row, TrackingScore
 from glsplat.extras.learned.network import load_network
 
 nan = float("nan")

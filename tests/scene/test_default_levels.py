@@ -10,7 +10,7 @@ import pytest
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN
 from glsplat.data import default_avatar
-from glsplat.extras.evaluate.metrics.pixels import psnr
+from glsplat.extras.evaluate.metrics import psnr
 from glsplat.formats.motion_files import load_motion
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose

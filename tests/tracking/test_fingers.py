@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.extras.motions.batch import forward_all
-from glsplat.extras.motions.derive import TrueMotion, derive
+from glsplat.extras.motions.derive import TrueMotion, derive, forward_all
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig

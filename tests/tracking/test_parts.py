@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from glsplat.extras.learned.feet import SET_DOWN_S, Feet
 from glsplat.extras.learned.hints import FootHint
 from glsplat.extras.learned.uncertainty import ExpectedError
-from glsplat.extras.motions.batch import resample
+from glsplat.extras.motions.derive import resample
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker, TrackerConfig

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps.tracking.pose_track import read_poses
+from apps.tracking.options import read_poses
 from glsplat.camera import head_matrix
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError, PoseError

@@ -10,8 +10,7 @@ import pytest
 
 from glsplat.errors import PoseError
 from glsplat.extras.learned.hints import FootHint
-from glsplat.extras.learned.seat import OVER_CHAIR_S, Seat
-from glsplat.extras.learned.stance import NETWORK_SHARE, Stance
+from glsplat.extras.learned.posture import NETWORK_SHARE, OVER_CHAIR_S, Seat, Stance
 from glsplat.extras.learned.uncertainty import MAX_ERROR_M, ExpectedError
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Sample, Tracker, TrackerConfig

@@ -25,7 +25,7 @@ from apps.demo import running_server
 from apps.replay.latency import PAPER
 from apps.replay.streaming import STAGES
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.quiet import Quiet, until_quiet
+from glsplat.extras.evaluate.frames import Quiet, until_quiet
 from glsplat.extras.evaluate.stability.extremes import all_cases
 from glsplat.extras.evaluate.stability.frame import judge
 from glsplat.gl.context import create_context

@@ -24,10 +24,9 @@ from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.reconstruct.builtin import Builtin
 from glsplat.extras.authoring.reconstruct.reconstructor import Options, Picture
-from glsplat.extras.evaluate.light import CaptureLight, shade_of
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.metrics.pixels import l1, psnr
-from glsplat.extras.evaluate.metrics.structure import ssim
+from glsplat.extras.evaluate.lpips import Lpips
+from glsplat.extras.evaluate.metrics import l1, psnr, ssim
+from glsplat.extras.evaluate.turntable import CaptureLight, shade_of
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.conftest import SHARED_DATA

@@ -18,8 +18,8 @@ from typing import Any
 
 from apps.report.plots import precision_plot
 from glsplat.errors import GlsplatError
+from glsplat.extras.evaluate.frames import MAX_SHARE, Quiet
 from glsplat.extras.evaluate.precision import VISIBLE_LPIPS, VISIBLE_PSNR, Way, advice, lpips_if_there, measure
-from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet
 from glsplat.extras.evaluate.subjects import Subject, subjects_of
 from glsplat.gl.context import create_context
 from glsplat.io.files import replace_file

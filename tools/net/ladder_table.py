@@ -19,7 +19,7 @@ from apps.replay.streaming import observer
 from glsplat.avatar import Avatar
 from glsplat.data import PEOPLE
 from glsplat.extras.evaluate.difference import pareto
-from glsplat.extras.evaluate.metrics.lpips import Lpips
+from glsplat.extras.evaluate.lpips import Lpips
 from glsplat.formats.motion_files import load_embedded_motion
 from glsplat.net.codec.encode import covered_box, encode_picture
 from glsplat.net.pace.ladder import SCALES

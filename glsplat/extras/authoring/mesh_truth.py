@@ -66,7 +66,7 @@ class MeshTruth:
         views: Views,
         pose: Pose | None = None,
         *,
-        shade: ArrayLike | None = None,  # [N, 3] factors a vertex of the mesh, in linear light (evaluate/light.py)
+        shade: ArrayLike | None = None,  # [N, 3] factors a vertex of the mesh, in linear light (evaluate/turntable.py)
     ) -> NDArray[Any]:
         """Return the images [V, H, W, 4], row 0 at the top: RGB over the background, and the covered share of a pixel.
 

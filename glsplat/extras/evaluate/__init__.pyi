@@ -1,2 +1,2 @@
-from .avatar_poses import SCORE_POSES as SCORE_POSES
+from .avatar_score import SCORE_POSES as SCORE_POSES
 from .avatar_score import score as score

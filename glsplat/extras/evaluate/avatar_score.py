@@ -1,4 +1,8 @@
-"""Score an avatar against the textured mesh it was made from, in poses outside the fit."""
+"""Score an avatar against the textured mesh it was made from, in named, fixed poses outside the fit's random poses.
+
+Poses are axis-angle in radians on the SMPL-X joints; left joints are mirrored to the right unless a pose has the right
+one.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +17,82 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.evaluate.avatar_poses import score_pose
-from glsplat.extras.evaluate.metrics.pixels import Box, decibel, psnr
-from glsplat.extras.evaluate.metrics.structure import ssim
+from glsplat.extras.evaluate.metrics import Box, decibel, psnr, ssim
 from glsplat.meshes import RiggedMesh
 from glsplat.renderer import Renderer
+from glsplat.skinning.pose import Pose
+from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import strongest_joint
+
+Rotations = dict[str, tuple[float, float, float]]  # Axis-angle by joint, radians
+
+_FINGERS = ("index", "middle", "ring", "pinky")
 
 DISTANCE = 3.0  # metres from the middle of the figure
 FILL = 0.94  # share of the picture that the figure takes, in its longer direction
 FIRST, LIFT = 15.0, 8.0  # degrees: azimuth of the first view, elevation of all
 FACE = ("head", "jaw", "left_eye", "right_eye")
 HAND = ("wrist", "index", "middle", "pinky", "ring", "thumb")
+
+
+def poses_of(table: str) -> dict[str, Rotations]:
+    """Parse a table of poses: ``name: joint x y z, ...``; ``fists A`` bends each finger's joints by A radians."""
+    poses: dict[str, Rotations] = {}
+    for line in table.replace("\n  ", " ").strip().splitlines():
+        name, _, joints = line.partition(":")
+        poses[name] = {}
+        for joint, *numbers in map(str.split, filter(None, joints.split(","))):
+            values = [float(number) for number in numbers]
+            poses[name] |= _fists(*values) if joint == "fists" else {joint: (values[0], values[1], values[2])}
+    return poses
+
+
+def _fists(amount: float) -> Rotations:
+    out: Rotations = {}
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        out |= {f"{side}_{finger}{i}": (0.0, 0.0, -sign * amount) for finger in _FINGERS for i in (1, 2, 3)}
+        out |= {f"{side}_thumb{i}": (0.0, -sign * 0.4 * amount, 0.0) for i in (2, 3)}
+    return out
+
+
+SCORE_POSES = poses_of("""
+T-pose:
+arms overhead: left_collar 0 0 0.25, left_shoulder 0 0 1.1, left_elbow 0 -0.3 0, left_hip 0 0 0.25,
+  spine2 -0.15 0 0
+hands on hips: left_shoulder 0 0.55 -0.85, left_elbow 0 -1.9 0, left_wrist 0 0 -0.5,
+  left_hip 0 0 0.15
+seated: left_hip -1.5 0 0.12, left_knee 1.5 0 0, left_shoulder 0 -0.5 -1, left_elbow 0 -0.8 0,
+  neck 0.2 0 0
+stride: left_hip -0.9 0 0, left_knee 0.5 0 0, right_hip 0.55 0 0, right_knee 0.9 0 0,
+  left_shoulder 0 0.7 -1.15, right_shoulder 0 0.9 1.15, left_elbow 0 -1.5 0, right_elbow 0 1.5 0,
+  spine1 0.1 0.15 0
+reaching out: left_shoulder 0 -1.45 0.1, right_shoulder 0 0.5 0.9, left_elbow 0 -0.1 0,
+  right_elbow 0 0.2 0, left_index1 0 0.12 0.1, left_pinky1 0 -0.2 0.1, left_hip -0.3 0 0.1,
+  left_knee 0.5 0 0, right_hip 0.2 0 -0.1, head 0 0.4 0, jaw 0.25 0 0
+twist with fists: pelvis 0 0.3 0, spine1 0 0.25 0, spine2 0 0.25 0, spine3 0 0.2 0, head 0 0.6 0,
+  left_shoulder 0 -0.9 -0.6, left_elbow 0 -1.8 0, left_hip 0 0 0.3, fists 1.3
+squat: left_hip -1.9 0 0.35, left_knee 2.1 0 0, left_ankle -0.3 0 0, spine1 0.3 0 0,
+  spine2 0.2 0 0, left_shoulder 0 -1.3 -0.2, left_elbow 0 -0.5 0, left_eye_smplhf 0 0.3 0
+""")
+"""Joint rotations by pose; a left joint without its right twin stands for both."""
+
+
+def score_pose(name: str, skeleton: Skeleton) -> Pose:
+    """Return a pose of SCORE_POSES on any rig, without the joints that the rig lacks."""
+    return pose_of(SCORE_POSES[name], skeleton)
+
+
+def pose_of(given: Rotations, skeleton: Skeleton) -> Pose:
+    """Return named rotations as a pose of any rig; a left joint without its right twin stands for both."""
+    rotations = np.zeros((len(skeleton), 3))
+    index = {joint: i for i, joint in enumerate(skeleton.names)}
+    for joint, (x, y, z) in given.items():
+        twin = joint.replace("left", "right", 1)
+        if joint in index:
+            rotations[index[joint]] = x, y, z
+        if twin not in given and twin in index:
+            rotations[index[twin]] = np.array([x, -y, -z])  # reflected in the plane x = 0
+    return Pose(rotations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,10 +179,7 @@ def _box(points: F64, camera: Camera) -> Box:
 
 
 def compare(
-    picture: NDArray[np.float32],
-    wanted: NDArray[np.float32],
-    body: Box,
-    hands: list[Box],
+    picture: NDArray[np.float32], wanted: NDArray[np.float32], body: Box, hands: list[Box]
 ) -> tuple[float, float | None, float]:
     """Return PSNR over ``body``, PSNR over all ``hands``, and SSIM over ``body`` of pictures [H, W, 3] in [0, 1].
 

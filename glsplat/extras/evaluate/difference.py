@@ -13,14 +13,12 @@ from glsplat import reference
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.metrics.flip import flip as mean_flip
-from glsplat.extras.evaluate.metrics.pixels import decibel
-from glsplat.optional import require_package
+from glsplat.extras.evaluate.metrics import decibel
+from glsplat.extras.evaluate.metrics import flip as mean_flip
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-PSNR_CAP = 160.0
-"""Decibels reported for equal pictures: JSON has no infinity."""
+PSNR_CAP = 160.0  # decibels reported for equal pictures: JSON has no infinity
 
 
 @dataclass(frozen=True)
@@ -83,12 +81,6 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
         if not front or points[i][1] > points[front[-1]][1]:
             front.append(i)
     return front
-
-
-def require_extra() -> None:
-    """Raise GlsplatError if a package of the report is not installed."""
-    for package in ("flip_evaluator", "matplotlib"):
-        require_package("the report", package, "report")
 
 
 def _shown(views: NDArray[np.float64]) -> NDArray[np.float64]:

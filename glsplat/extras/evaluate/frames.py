@@ -1,29 +1,100 @@
-"""Cost of a frame by stage, measured by renderers that take turns on one context."""
+"""Cost of a frame by stage, measured by renderers that take turns on one context, and the gate of measurements.
+
+The gate is the load by other processes, and the difference of the default to itself.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from glsplat.avatar import Avatar
-from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.gl.context import Context
 from glsplat.meshes import RiggedMesh
 from glsplat.motion.motion import Motion
-from glsplat.renderer import Renderer
 from glsplat.renderer.probe import Probe
 from glsplat.scene import Content, Scene, SceneLike, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.views import orbited, view_of, viewing_point
 
+T = TypeVar("T")
+
+MAX_SHARE = 0.03
+"""Largest share for valid times: of the cores used by others, and of the default's difference to itself."""
+
 FOV = 65.0
 WARM_UP = 5
 STAGES = ("pose", "mesh", "frame", "skin", "key", "sort", "project", "draw", "resolve", "read")
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """How quiet the machine was during a measurement."""
+
+    others: float | None  # share of all cores used by other processes and the host; None: not Linux
+    noise: float | None = None  # relative difference of the default to itself; None: not measured
+
+    @property
+    def ok(self) -> bool:
+        """Whether both shares are at most MAX_SHARE or unknown."""
+        return all(share is None or share <= MAX_SHARE for share in (self.others, self.noise))
+
+    @property
+    def words(self) -> str:
+        """Both shares in words."""
+        parts = [] if self.others is None else [f"other processes used {self.others:.1%} of the cores"]
+        parts += [] if self.noise is None else [f"the default differs from itself by {self.noise:.1%}"]
+        return ", ".join(parts) or "not known here"
+
+
+class Watch:
+    """Measures the CPU time of other processes since its creation; children count as own once waited for."""
+
+    def __init__(self) -> None:
+        self._start = _seconds()
+
+    def read(self, noise: float | None = None) -> Quiet:
+        """Return how quiet the machine was since the creation."""
+        end, noise = _seconds(), None if noise is None else round(noise, 4)
+        if self._start is None or end is None:
+            return Quiet(None, noise)
+        total, busy, own = (after - before for after, before in zip(end, self._start, strict=True))
+        return Quiet(round(max(0.0, busy - own) / max(total, 1e-9), 4), noise)
+
+
+def until_quiet(
+    measure: Callable[[int], tuple[T, float | None]], frames: int, say: Callable[[str], object] = print
+) -> tuple[T, Quiet]:
+    """Return (result, quiet) of ``measure(frames)``, which returns (result, noise).
+
+    On a busy machine measure once more with twice the frames; ``say`` gets a line if it is still busy.
+    """
+    for count in (frames, 2 * frames):
+        watch = Watch()
+        result, noise = measure(count)
+        quiet = watch.read(noise)
+        if quiet.ok:
+            break
+    else:
+        say(f"not a quiet machine: {quiet.words}; expected at most {MAX_SHARE:.0%}; compare CPU times, or end others")
+    return result, quiet
+
+
+def _seconds() -> tuple[float, float, float] | None:
+    """Return seconds of all cores: (in all, busy, busy for this process and the children it waited for)."""
+    try:
+        line = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0]
+    except OSError:
+        return None
+    times = [int(word) / os.sysconf("SC_CLK_TCK") for word in line.split()[1:9]]
+    return sum(times), sum(times) - times[3] - times[4], sum(os.times()[:4])  # without idle and iowait
 
 
 @dataclass(frozen=True)
@@ -91,14 +162,16 @@ class Bench:
     ) -> dict[str, Any]:
         """Return times of whole frames, of the draw alone, of stages, and of one render per view, as JSON values."""
         pair, single, staged = (
-            self._renderer(scene, pixels, n, timed) for n, timed in ((views, 0), (1, 0), (views, 1))
+            Probe(scene, size=pixels, views=n, config=self._config, context=self._context, timed=timed)
+            for n, timed in ((views, False), (1, False), (views, True))
         )
         whole, cpu, floor, gpu, apart, still, still_apart = [], [], [], [], [], [], []
         with self._context.entered("Bench"):
             query = self._context.ctx.query(time=True)
         stages: dict[str, list[float]] = {}
         for i, pose in enumerate(poses):
-            eyes = self.eyes(scene, pixels, i)[:views]
+            start, target = viewing_point(scene, FOV)  # the head orbits by a degree a frame
+            eyes = view_of(orbited(start, target, np.radians(i)), target, pixels, FOV, ipd=0.055)[:views]
             if pose_at is not None:
                 pose_at(i / 30)
             total, _ = timed(lambda: pair.render(eyes, pose))  # noqa: B023 - called at once
@@ -109,9 +182,13 @@ class Bench:
                 single.render([eye], pose)
                 two += single.timings["total"]
             staged.render(eyes, pose)
-            # render an unmoved frame: no skinning, no sorting
+            # render an unmoved frame: no skinning, no sorting; of each eye the second one
             pair.render(eyes, pose)
-            unmoved, unmoved_apart = pair.timings["total"], self._unmoved(single, eyes, pose)
+            unmoved, unmoved_apart = pair.timings["total"], 0.0
+            for eye in eyes:
+                single.render([eye], pose)
+                single.render([eye], pose)
+                unmoved_apart += single.timings["total"]
             if i < WARM_UP:
                 continue
             whole.append(total[0])
@@ -153,20 +230,3 @@ class Bench:
         for renderer in (pair, single, staged):
             renderer.release()
         return row
-
-    def _unmoved(self, renderer: Renderer, eyes: Sequence[Camera], pose: Pose | None) -> float:
-        """Return the ms of one render per eye of an unmoved scene: each eye is drawn twice, the second time counts."""
-        total = 0.0
-        for eye in eyes:
-            renderer.render([eye], pose)
-            renderer.render([eye], pose)
-            total += renderer.timings["total"]
-        return total
-
-    def _renderer(self, scene: SceneLike, pixels: tuple[int, int], views: int, timed: int) -> Probe:
-        return Probe(scene, size=pixels, views=views, config=self._config, context=self._context, timed=bool(timed))
-
-    def eyes(self, scene: SceneLike, pixels: tuple[int, int], frame: int) -> list[Camera]:
-        """Return the pair of cameras of a head that orbits by one degree per frame."""
-        eye, target = viewing_point(scene, FOV)
-        return view_of(orbited(eye, target, np.radians(frame)), target, pixels, FOV, ipd=0.055)

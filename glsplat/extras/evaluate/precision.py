@@ -23,10 +23,9 @@ from glsplat.camera import Camera
 from glsplat.config import CULL_PSNR, LEAN, MAX_SIGMA, DebugConfig, RenderConfig, with_fields
 from glsplat.errors import GlsplatError
 from glsplat.extras.evaluate.difference import Difference, pareto, reference_pictures
-from glsplat.extras.evaluate.frames import timed
-from glsplat.extras.evaluate.metrics.flip import flip
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.quiet import MAX_SHARE, Watch
+from glsplat.extras.evaluate.frames import MAX_SHARE, Watch, timed
+from glsplat.extras.evaluate.lpips import Lpips
+from glsplat.extras.evaluate.metrics import flip
 from glsplat.extras.evaluate.subjects import Subject
 from glsplat.gl.context import Context
 from glsplat.net.codec.encode import encode_picture
@@ -37,14 +36,12 @@ from glsplat.skinning.pose import Pose
 JPEGS = ((50, "420"), (80, "420"), (90, "420"), (95, "420"), (80, "444"), (95, "444"))
 """Quality and chroma subsampling."""
 
-SERVED = (80, "420")
-"""JPEG of ``glsplat serve``."""
+SERVED = (80, "420")  # JPEG of ``glsplat serve``
 
 VISIBLE_LPIPS, VISIBLE_PSNR = 0.01, 40.0
 """An error is not visible up to this LPIPS (JPEG of quality 80: 0.008); without its weights, from this PSNR in dB."""
 
-FIRST = 28
-"""The first frame of a series: a multiple of every sort period."""
+FIRST = 28  # the first frame of a series: a multiple of every sort period
 
 COMPARED = 31
 """The frame that is compared with float64: the last before a sort, when a kept order is oldest.
@@ -178,7 +175,11 @@ def advice(result: Mapping[str, Any]) -> dict[str, tuple[list[str], dict[str, An
     out = {}
     for name in ("render", "serve"):
         rows = [row for row in result["rows"] if row[name] is not None and row["flip"] is not None]
-        fine = [row for row in rows if not _visible(row)]
+        fine = [
+            row
+            for row in rows
+            if (row["psnr"] >= VISIBLE_PSNR if row["lpips"] is None else row["lpips"] <= VISIBLE_LPIPS)
+        ]
         if fine:
             least = 1.02 * min(row["ms"] for row in fine)
             equal = [row for row in fine if row["ms"] <= least]
@@ -188,10 +189,6 @@ def advice(result: Mapping[str, Any]) -> dict[str, tuple[list[str], dict[str, An
             row = min(rows, key=lambda row: (row["lpips"] or 0.0, -row["psnr"]))
             out[name] = row[name], row | {"visible": True}
     return out
-
-
-def _visible(row: Mapping[str, Any]) -> bool:
-    return bool(row["psnr"] < VISIBLE_PSNR if row["lpips"] is None else row["lpips"] > VISIBLE_LPIPS)
 
 
 class _Study:

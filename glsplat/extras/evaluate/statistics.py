@@ -12,9 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from glsplat.extras.statistics.bootstrap import interval_of_mean
-from glsplat.extras.statistics.holm import holm
-from glsplat.extras.statistics.ranks import rank_biserial, wilcoxon
+from glsplat.extras.statistics.nonparametric import holm, interval_of_mean, rank_biserial, wilcoxon
 
 Values = Mapping[str, Mapping[str, float | None]]
 """Values of one measure, by method and participant."""
@@ -26,14 +24,11 @@ class Summary:
 
     method: str
     n: int
-    missing: tuple[str, ...]
-    """Participants that only other methods have."""
+    missing: tuple[str, ...]  # participants that only other methods have
     mean: float | None
-    deviation: float | None
-    """Sample standard deviation (n - 1)."""
+    deviation: float | None  # sample standard deviation (n - 1)
     low: float | None
-    high: float | None
-    """95 % interval of the mean."""
+    high: float | None  # 95 % interval of the mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,19 +38,15 @@ class Paired:
     first: str
     second: str
     n: int
-    missing: tuple[str, ...]
-    """Participants that lack a value."""
+    missing: tuple[str, ...]  # participants that lack a value
     mean: float | None
     low: float | None
-    high: float | None
-    """95 % interval of the mean difference."""
+    high: float | None  # 95 % interval of the mean difference
     median: float | None
     effect: float | None
     """Matched-pairs rank-biserial correlation: 1 if the first is larger in everybody, -1 if the second is."""
-    p: float | None
-    """Of Wilcoxon's signed-rank test, two-sided."""
-    p_holm: float | None
-    """``p`` corrected for all pairs."""
+    p: float | None  # of Wilcoxon's signed-rank test, two-sided
+    p_holm: float | None  # ``p`` corrected for all pairs
 
 
 def summarise(values: Values, seed: int = 0) -> list[Summary]:
@@ -66,17 +57,10 @@ def summarise(values: Values, seed: int = 0) -> list[Summary]:
         known = {name: value for name in everybody if (value := _known(own.get(name))) is not None}
         sample = np.array(list(known.values()))
         low, high = interval_of_mean(sample, seed)
-        rows.append(
-            Summary(
-                method,
-                len(sample),
-                tuple(name for name in everybody if name not in known),
-                float(sample.mean()) if len(sample) else None,
-                float(sample.std(ddof=1)) if len(sample) > 1 else None,
-                low,
-                high,
-            )
-        )
+        missing = tuple(name for name in everybody if name not in known)
+        mean = float(sample.mean()) if len(sample) else None
+        deviation = float(sample.std(ddof=1)) if len(sample) > 1 else None
+        rows.append(Summary(method, len(sample), missing, mean, deviation, low, high))
     return rows
 
 
@@ -93,29 +77,14 @@ def compare(values: Values, seed: int = 0) -> list[Paired]:
         missing = tuple(name for name, pair in both.items() if None in pair)
         difference = np.array([a - b for a, b in pairs])
         low, high = interval_of_mean(difference, seed)
-        n = len(pairs)
-        rows.append(
-            Paired(
-                first,
-                second,
-                n,
-                missing,
-                float(difference.mean()) if n else None,
-                low,
-                high,
-                float(np.median(difference)) if n else None,
-                rank_biserial(difference) if n else None,
-                wilcoxon(difference) if n else None,
-                None,
-            )
-        )
-    return _corrected(rows)
-
-
-def _corrected(rows: list[Paired]) -> list[Paired]:
-    tested = [row.p for row in rows if row.p is not None]
-    corrected = iter(holm(tested))
-    return [replace(row, p_holm=next(corrected)) if row.p is not None else row for row in rows]
+        row = Paired(first, second, len(pairs), missing, None, low, high, None, None, None, None)
+        if pairs:
+            mean, median = float(difference.mean()), float(np.median(difference))
+            effect, p = rank_biserial(difference), wilcoxon(difference)
+            row = replace(row, mean=mean, median=median, effect=effect, p=p)
+        rows.append(row)
+    corrected = iter(holm([row.p for row in rows if row.p is not None]))
+    return [row if row.p is None else replace(row, p_holm=next(corrected)) for row in rows]
 
 
 def _participants(values: Values) -> list[str]:

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
-from glsplat.extras.formats.morton import morton_order
+from glsplat.extras.formats.packed import morton_order, read_rows, smallest_three, with_largest
 from glsplat.formats.format import Format, Opened, clamped_opacities, positive_scales
 from glsplat.formats.ply import ANTIALIAS, PACKED, Element, is_ply, read_header, sh_degree
 from glsplat.io.files import Source, replace_file
@@ -39,28 +38,10 @@ _BLOCK = 128 * _CHUNK  # splats converted at a time
 _POSITION, _SCALE, _COLOUR = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
 _WORDS = (PACKED, "packed_rotation", "packed_scale", "packed_color")
 _THREE, _ROTATION, _FOUR = (11, 10, 11), (2, 10, 10, 10), (8, 8, 8, 8)  # bits
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # the components of a quaternion but the largest
 _LOG_LIMIT = 20.0  # of the logarithms of scales, as in other writers: 2 nm to 485,000 km
 _SH_RANGE = 4.0
 _SH_VALUES = ((np.arange(256, dtype=np.float32) + np.float32(0.5)) / 128 - 1) * np.float32(_SH_RANGE)
 _SH_VALUES[[0, 255]] = -_SH_RANGE, _SH_RANGE
-
-
-@dataclass(frozen=True)
-class _Table:
-    """The location of an element's rows, checked against the file."""
-
-    start: int  # bytes
-    count: int
-    dtype: np.dtype[np.void]
-
-    def rows(self, file: BinaryIO, at: int, count: int) -> NDArray[np.void]:
-        """Read ``count`` rows from the row ``at``."""
-        rows = np.empty(count, self.dtype)
-        file.seek(self.start + at * self.dtype.itemsize)
-        if file.readinto(rows.view(np.uint8).data) != rows.nbytes:  # type: ignore[attr-defined]
-            raise FormatError("the file became shorter while it was read")
-        return rows
 
 
 def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
@@ -71,14 +52,19 @@ def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
     header = read_header(file)
     if not header.order:
         raise FormatError("a compressed PLY is binary, but the header of this one says ASCII")
-    tables: dict[str, _Table] = {}
+    tables: dict[str, tuple[int, np.dtype[np.void]]] = {}  # start in bytes, type of a row
     end = header.start
     for element in header.elements:
         if element.lists:
             raise FormatError(f"the element {element.name[:40]!r} has a list property; a compressed PLY has none")
-        table = _Table(end, element.count, element.dtype(header.order))
-        end += table.count * table.dtype.itemsize
+        table = end, element.dtype(header.order)
+        end += element.count * table[1].itemsize
         tables.setdefault(element.name, table)
+
+    def rows_of(name: str, at: int, count: int) -> NDArray[np.void]:
+        start, dtype = tables[name]
+        return read_rows(file, start + at * dtype.itemsize, count, dtype)
+
     chunk, vertex, sh = (header.element(name) for name in ("chunk", "vertex", "sh"))
     if chunk is None or vertex is None:
         raise FormatError("a compressed PLY needs the elements chunk and vertex")
@@ -86,15 +72,15 @@ def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
     degree = _check_harmonics(sh, vertex.count)
     if end > size:
         raise FormatError(f"truncated: the header declares {end} bytes, the file has {size}")
-    if size - end >= tables["vertex"].dtype.itemsize:
+    if size - end >= tables["vertex"][1].itemsize:
         raise FormatError(f"the header declares {end} bytes, but the file has {size}")
-    low, high = _bounds(tables["chunk"].rows(file, 0, chunk.count), coloured)
+    low, high = _bounds(rows_of("chunk", 0, chunk.count), coloured)
     count, coefficients = vertex.count, (degree + 1) ** 2
     means, scales, quats = (np.empty((count, width), np.float32) for width in (3, 3, 4))
     opacities, colours = np.empty(count, np.float32), np.empty((count, coefficients, 3), np.float32)
     for at in range(0, count, _BLOCK):
         part = slice(at, min(at + _BLOCK, count))
-        rows = tables["vertex"].rows(file, at, part.stop - at)
+        rows = rows_of("vertex", at, part.stop - at)
         chunks = np.arange(part.start, part.stop) // _CHUNK
         colour = _unpacked(rows["packed_color"], _FOUR)
         opacities[part] = colour[:, 3]
@@ -105,9 +91,10 @@ def read_compressed_ply(file: BinaryIO, size: int) -> Splats:
             means[part] = values[:, :3]
             scales[part] = np.exp(values[:, 3:6])
             colours[part, 0] = (values[:, 6:] - 0.5) / SH_C0
-        quats[part] = _quaternions(rows["packed_rotation"])
+        others = (_unpacked(rows["packed_rotation"], _ROTATION)[:, 1:] - 0.5) * 2**0.5
+        quats[part] = with_largest(_field(rows["packed_rotation"], _ROTATION, 0), others)
         if sh is not None and degree:
-            codes = tables["sh"].rows(file, at, part.stop - at).view(np.uint8).reshape(part.stop - at, -1)
+            codes = rows_of("sh", at, part.stop - at).view(np.uint8).reshape(part.stop - at, -1)
             codes = codes[:, [sh.names.index(f"f_rest_{i}") for i in range(3 * (coefficients - 1))]]
             colours[part, 1:] = _SH_VALUES[codes].reshape(-1, 3, coefficients - 1).transpose(0, 2, 1)
     return Splats(frozen(means), frozen(quats), frozen(scales), frozen(opacities), frozen(colours), header.antialias)
@@ -156,17 +143,6 @@ def _unpacked(words: NDArray[np.uint32], bits: tuple[int, ...]) -> NDArray[np.fl
 def _field(words: NDArray[np.uint32], bits: tuple[int, ...], at: int) -> NDArray[np.uint32]:
     """Return the integers in field ``at`` of words whose fields have ``bits``."""
     return words >> np.uint32(sum(bits[at + 1 :])) & np.uint32(2 ** bits[at] - 1)
-
-
-def _quaternions(words: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """Return quaternions [N, 4] wxyz."""
-    others = (_unpacked(words, _ROTATION)[:, 1:] - 0.5) * 2**0.5
-    largest = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
-    which = _field(words, _ROTATION, 0)
-    out = np.empty((len(words), 4))
-    np.put_along_axis(out, _OTHERS[which], others, axis=1)
-    np.put_along_axis(out, which[:, None].astype(np.intp), largest[:, None], axis=1)
-    return out
 
 
 def save_compressed_ply(splats: Splats, target: Source) -> None:
@@ -228,11 +204,8 @@ def _words(splats: Splats, index: NDArray[np.intp]) -> NDArray[np.uint32]:
     between = np.divide(values - low, extent, out=np.zeros_like(values), where=extent > 0)
     quats = splats.quats[index].astype(np.float64)
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    which = np.abs(quats).argmax(axis=1)[:, None]
-    others = np.take_along_axis(quats, _OTHERS[which[:, 0]], axis=1) * np.where(
-        np.take_along_axis(quats, which, axis=1) < 0, -1, 1
-    )
-    rotation = np.hstack([which / 3, others * 0.5**0.5 + 0.5])
+    which, others = smallest_three(quats)
+    rotation = np.hstack([which[:, None] / 3, others * 0.5**0.5 + 0.5])
     colour = np.hstack([between[:, 2], splats.opacities[index, None]])
     pairs = ((between[:, 0], _THREE), (rotation, _ROTATION), (between[:, 1], _THREE), (colour, _FOUR))
     return np.stack([_word(parts, bits) for parts, bits in pairs], axis=1)

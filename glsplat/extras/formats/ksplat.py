@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
 from glsplat.errors import FormatError
+from glsplat.extras.formats.packed import read_rows
 from glsplat.formats.format import Format, Opened
 from glsplat.splats import SH_C0, Splats, normalised
 
@@ -177,11 +178,7 @@ def _rows(file: BinaryIO, at: int, count: int, dtype: np.dtype[_Row], size: int)
     """Read ``count`` rows from the byte ``at``. Raises FormatError if the file is shorter."""
     if at + count * dtype.itemsize > size:
         raise FormatError(f"truncated: the headers declare {at + count * dtype.itemsize} bytes, the file has {size}")
-    file.seek(at)
-    data = file.read(count * dtype.itemsize)
-    if len(data) != count * dtype.itemsize:
-        raise FormatError("the file became shorter while it was read")
-    return np.frombuffer(data, dtype, count)
+    return read_rows(file, at, count, dtype)
 
 
 def _sniff(start: Opened) -> bool:

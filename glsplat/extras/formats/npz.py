@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError
 
-_MOST = 1 << 30
-"""Most unpacked bytes of the arrays; the body models in use take a tenth of it."""
+_MOST = 1 << 30  # most unpacked bytes of the arrays; the body models in use take a tenth of it
 
 
 def array_names(file: BinaryIO) -> list[str]:

@@ -48,11 +48,10 @@ def _person(data: Mapping[str, NDArray[Any]], path: str) -> RiggedMesh:
     missing = [key for key in needed if key not in data]
     if missing:
         raise FormatError(f"a person needs the key {missing[0]}; found {', '.join(list(data)[:8])}")
-    skeleton = Skeleton.from_joints(tuple(map(str, data["joint_names"])), data["parents"], data["joints"])
     parts = tuple(_part(data, i, str(name), path) for i, name in enumerate(data["part_names"]))
     indices, weights = data["skin_indices"].astype(np.int64), data["skin_weights"].astype(np.float64)
     vertices = data["vertices"].astype(np.float64)
-    return RiggedMesh(vertices, skeleton, indices, weights, parts, {"source": Path(path).name})
+    return RiggedMesh(vertices, _skeleton(data), indices, weights, parts, {"source": Path(path).name})
 
 
 def _part(data: Mapping[str, NDArray[Any]], i: int, name: str, path: str) -> MeshPart:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
+from glsplat.extras.formats.packed import read_rows
 from glsplat.formats.format import Format, Opened, clamped_opacities, positive_scales
 from glsplat.io.files import Source, replace_file, sampled
 from glsplat.splats import SH_C0, Splats, normalised
@@ -32,13 +33,9 @@ def read_splat(file: BinaryIO, size: int) -> Splats:
     means, scales = np.empty((2, count, 3), np.float32)
     quats, opacities = np.empty((count, 4), np.float32), np.empty(count, np.float32)
     sh = np.empty((count, 1, 3), np.float32)
-    file.seek(0)
     for at in range(0, count, _CHUNK):
-        data = file.read(min(_CHUNK, count - at) * _RECORD.itemsize)
         part = slice(at, min(at + _CHUNK, count))
-        if len(data) != (part.stop - at) * _RECORD.itemsize:
-            raise FormatError("the file became shorter while it was read")
-        rows = np.frombuffer(data, _RECORD)
+        rows = read_rows(file, at * _RECORD.itemsize, part.stop - at, _RECORD)
         rgba = rows["rgba"].astype(np.float32) / 255
         means[part], scales[part], opacities[part] = rows["mean"], rows["scale"], rgba[:, 3]
         # twice, as ``normalised`` does not change quaternions that are nearly unit

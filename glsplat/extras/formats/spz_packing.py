@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F32, frozen
+from glsplat.extras.formats.packed import smallest_three, with_largest
 from glsplat.extras.formats.splat import hidden
 from glsplat.rotations import sh_rotations
 from glsplat.splats import Splats, normalised
@@ -33,8 +34,7 @@ from glsplat.splats import Splats, normalised
 U8 = NDArray[np.uint8]
 Bytes = bytes | bytearray | memoryview
 
-HALF_TURN = np.diag([1.0, -1.0, -1.0])
-"""Rotation from SPZ's axes to a 3DGS PLY's, and back."""
+HALF_TURN = np.diag([1.0, -1.0, -1.0])  # rotation from SPZ's axes to a 3DGS PLY's, and back
 
 _CHUNK = 1 << 16  # splats converted at a time
 _LARGEST = (1 << 23) - 1  # of a position, in steps
@@ -44,7 +44,6 @@ _COLOUR = 0.15 * 255  # steps a unit of the coefficient: twice the range of a co
 _BUCKETS = np.array([8, 16, 16], np.float32)  # of degree 1, 2, 3: steps of 1/128 joined for compression
 _NO_TURN = np.array([0, 0, 0, 1], np.float32)  # xyzw
 _ROOT = np.float32(0.5**0.5)  # largest possible smaller component of a unit quaternion
-_SMALLER = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # of xyzw, by the index of the largest
 _SHIFTS = np.array([20, 10, 0], np.uint32)
 
 _BYTES = np.arange(256)
@@ -201,11 +200,7 @@ def _smallest_three(data: U8) -> F32:
     fields = words >> _SHIFTS
     smaller = (fields & 511).astype(np.float32) * (_ROOT / 511)
     np.negative(smaller, out=smaller, where=(fields & 512) != 0)
-    xyzw = np.empty((len(data), 4), np.float32)
-    np.put_along_axis(xyzw, _SMALLER[largest], smaller, 1)
-    rest = np.sqrt(np.maximum(0, 1 - np.einsum("ni,ni->n", smaller, smaller)))
-    xyzw[np.arange(len(data)), largest] = rest
-    return np.roll(xyzw, 1, axis=1)
+    return np.roll(with_largest(largest, smaller), 1, axis=1)
 
 
 def _as_first_three(xyzw: F32) -> bytes:
@@ -214,9 +209,7 @@ def _as_first_three(xyzw: F32) -> bytes:
 
 
 def _as_smallest_three(xyzw: F32) -> bytes:
-    largest = np.abs(xyzw).argmax(axis=1)
-    xyzw = np.where(np.take_along_axis(xyzw, largest[:, None], 1) < 0, -xyzw, xyzw)
-    smaller = np.take_along_axis(xyzw, _SMALLER[largest], 1)
+    largest, smaller = smallest_three(xyzw)
     size = np.minimum(np.floor(np.abs(smaller) * (511 / _ROOT) + np.float32(0.5)), 511).astype(np.uint32)
     fields = (size | (smaller < 0).astype(np.uint32) << 9) << _SHIFTS
     words = largest.astype(np.uint32) << 30 | fields[:, 0] | fields[:, 1] | fields[:, 2]

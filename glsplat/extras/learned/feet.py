@@ -6,24 +6,13 @@ from collections.abc import Sequence
 from math import exp, hypot, inf, sqrt
 
 from glsplat.extras.learned.hints import FootHint
-from glsplat.extras.learned.velocity import Velocity
+from glsplat.extras.learned.posture import Velocity
+from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.foot import Foot
 from glsplat.tracking.solve.leg import TIPTOE_RAD, Leg, LegPose
 from glsplat.tracking.solve.legs import USEFUL_STEP_M, USEFUL_TURN_RAD, TwoLegs
-from glsplat.tracking.solve.quat import (
-    JointPose,
-    Quat,
-    Vec,
-    add,
-    clamp,
-    pull,
-    rotate,
-    scale,
-    sub,
-    wrap,
-    yaw_quat,
-)
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, pull, rotate, scale, sub, wrap
 
 # lengths are those of a person of 1.7 m
 LIFT_BELOW, DROP_ABOVE = 0.55, 0.75  # stance of a foot: below, it is lifted; above, it is set down; at most ...
@@ -85,7 +74,7 @@ class Feet(TwoLegs):
         pelvis: Quat,
         yaw: float,
         dt: float,
-        goals: Sequence[JointPose | None] = (None, None),  # tracked ankles and feet
+        goals: Sequence[quat.JointPose | None] = (None, None),  # tracked ankles and feet
         knees: Sequence[Vec | None] = (None, None),
         rests: bool = False,  # the head is still: only a leg that does not reach lifts its foot
     ) -> list[LegPose]:
@@ -122,10 +111,10 @@ class Feet(TwoLegs):
             else:
                 self._swing(foot, hint, leg, hip, drop, dt)
             middle = scale(add(hip, leg.above(foot, foot.tilt.at)), 0.5)
-            knee = rotate(yaw_quat(-yaw), sub(hint.knee, middle))
+            knee = rotate(quat.yaw_quat(-yaw), sub(hint.knee, middle))
             knee = pull(self._knees[foot.index] or knee, knee, 1 - exp(-dt / KNEE_SMOOTHING_S))
             self._knees[foot.index] = knee
-            limbs.append(leg.solve(foot, hip, pelvis, yaw, rotate(yaw_quat(yaw), knee)))
+            limbs.append(leg.solve(foot, hip, pelvis, yaw, rotate(quat.yaw_quat(yaw), knee)))
         return limbs
 
     def _update_catch_up(self, hints: Sequence[FootHint], dt: float) -> None:

@@ -8,27 +8,19 @@ from math import atan2, exp, hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import TICK_S, NetworkOutput, TrackedFrames, network_inputs, unit_of, updated_means
-from glsplat.extras.learned.network import PoseNetwork
-from glsplat.rotations import quaternion_matrices
-from glsplat.tracking.solve.body import ANKLES, FEET, Body
-from glsplat.tracking.solve.quat import (
-    Quat,
-    Vec,
-    add,
-    clamp,
-    from_axes,
-    length,
-    mul,
-    nlerp,
-    pull,
-    rotate,
-    scale,
-    slerp,
-    sub,
-    swing_twist_y,
-    yaw_quat,
+from glsplat.extras.learned.network import (
+    TICK_S,
+    NetworkOutput,
+    PoseNetwork,
+    TrackedFrames,
+    network_inputs,
+    unit_of,
+    updated_means,
 )
+from glsplat.rotations import quaternion_matrices
+from glsplat.tracking.solve import quat
+from glsplat.tracking.solve.body import ANKLES, FEET, Body
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub
 from glsplat.tracking.solve.solution import Targets
 
 Array = NDArray[np.float32]
@@ -38,6 +30,9 @@ JUMP_SMOOTHING_S = 0.04  # in which the difference between a tick and its predic
 MISS_SHARE = 0.3  # weight of the newest tick in the smoothed steps and errors of feet
 CONFIDENCE_GAIN = 1.3  # of 1 - error / step of a foot
 ROUNDING_S = 1e-6
+
+_Pose = tuple[Quat, Quat, Vec, Vec, Vec, float, float]
+"""Pelvis, chest, position of the pelvis, of both knees, stance of both feet; positions from the eyes."""
 
 
 @dataclass(slots=True)
@@ -76,15 +71,11 @@ class _Tick:
     stance: tuple[float, float]
 
 
-_Pose = tuple[Quat, Quat, Vec, Vec, Vec, float, float]
-"""Pelvis, chest, position of the pelvis, of both knees, stance of both feet; positions from the eyes."""
-
-
 def _towards(a: _Pose, b: _Pose, k: float) -> _Pose:
     """Return ``a``, moved by the fraction k of the way to ``b``."""
     return (
-        nlerp(a[0], b[0], k),
-        nlerp(a[1], b[1], k),
+        quat.nlerp(a[0], b[0], k),
+        quat.nlerp(a[1], b[1], k),
         pull(a[2], b[2], k),
         pull(a[3], b[3], k),
         pull(a[4], b[4], k),
@@ -122,7 +113,7 @@ class Hints:
 
     def update(self, targets: Targets, dt: float) -> Hint:
         """Return the hint for these targets, ``dt`` seconds after the last ones."""
-        seen = swing_twist_y(targets.head)
+        seen = quat.swing_twist_y(targets.head)
         yaw = self._last[1] if seen is None and self._last else (seen or 0.0)
         if self._last is None:
             self._tick(targets, yaw)
@@ -136,7 +127,7 @@ class Hints:
                     self._tick(targets, yaw)
                 else:
                     between = _between(before, targets, max(part, 0.0))
-                    seen = swing_twist_y(between.head)
+                    seen = quat.swing_twist_y(between.head)
                     self._tick(between, turned if seen is None else seen)
         self._last = (targets, yaw)
         return self._hint(targets, dt)
@@ -200,11 +191,11 @@ class Hints:
 
 def _between(a: Targets, b: Targets, part: float) -> Targets:
     """Interpolate two samples; a hand is tracked if both have it."""
-    out = Targets(pull(a.eye, b.eye, part), slerp(a.head, b.head, part))
+    out = Targets(pull(a.eye, b.eye, part), quat.slerp(a.head, b.head, part))
     if a.left is not None and b.left is not None:
-        out.left, out.left_hand = pull(a.left, b.left, part), slerp(a.left_hand, b.left_hand, part)
+        out.left, out.left_hand = pull(a.left, b.left, part), quat.slerp(a.left_hand, b.left_hand, part)
     if a.right is not None and b.right is not None:
-        out.right, out.right_hand = pull(a.right, b.right, part), slerp(a.right_hand, b.right_hand, part)
+        out.right, out.right_hand = pull(a.right, b.right, part), quat.slerp(a.right_hand, b.right_hand, part)
     return out
 
 
@@ -226,7 +217,7 @@ def _frames(targets: Targets, yaw: float) -> TrackedFrames:
 def _tick(output: NetworkOutput, eye: Vec, yaw: float) -> _Tick:
     """Return the first frame of an output in the world."""
     points, ahead = output.points[0].tolist(), output.ahead[0].tolist()
-    facing = yaw_quat(yaw)
+    facing = quat.yaw_quat(yaw)
 
     def world(v: list[float]) -> Vec:
         x, y, z = rotate(facing, (v[0], v[1], v[2]))
@@ -239,8 +230,8 @@ def _tick(output: NetworkOutput, eye: Vec, yaw: float) -> _Tick:
     later = [world(v) for v in ahead]
     stance = [1 / (1 + exp(-max(-30.0, min(30.0, c)))) for c in output.contact[0].tolist()]
     return _Tick(
-        mul(facing, _rotation(output.pelvis[0])),
-        mul(facing, _rotation(output.chest[0])),
+        quat.mul(facing, _rotation(output.pelvis[0])),
+        quat.mul(facing, _rotation(output.chest[0])),
         from_eye(points[0]),
         (from_eye(points[1]), from_eye(points[2])),
         (feet[0], feet[1], feet[2], feet[3]),
@@ -260,4 +251,4 @@ def _rotation(axes: Array) -> Quat:
     if n < 1e-6:
         bx, by, bz, n = 0.0, 0.0, 1.0, 1.0
     bx, by, bz = bx / n, by / n, bz / n
-    return from_axes((ax, ay, az), (by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax), (bx, by, bz))
+    return quat.from_axes((ax, ay, az), (by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax), (bx, by, bz))

@@ -8,31 +8,14 @@ from typing import ClassVar
 from glsplat.extras.learned.feet import Feet
 from glsplat.extras.learned.hints import Hint, Hints
 from glsplat.extras.learned.network import PoseNetwork, embedded_network
-from glsplat.extras.learned.seat import Seat
-from glsplat.extras.learned.stance import HeadRest, Stance
+from glsplat.extras.learned.posture import HeadRest, Seat, Stance, SteadyPosition
 from glsplat.extras.learned.uncertainty import ExpectedError, Uncertainty
-from glsplat.extras.learned.velocity import SteadyPosition
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.arms import Arms
 from glsplat.tracking.solve.body import Body
 from glsplat.tracking.solve.height_limit import HeightLimit
 from glsplat.tracking.solve.legs import Legs
-from glsplat.tracking.solve.quat import (
-    Quat,
-    Vec,
-    add,
-    clamp,
-    length,
-    mul,
-    pull,
-    rotate,
-    scale,
-    sub,
-    swing_twist_y,
-    unit,
-    wrap,
-    yaw_quat,
-)
+from glsplat.tracking.solve.quat import Quat, Vec, add, clamp, length, pull, rotate, scale, sub, wrap
 from glsplat.tracking.solve.solution import Solution, Targets
 from glsplat.tracking.solve.solver import AnalyticSolver, assembled
 from glsplat.tracking.solve.spine import Spine, Torso
@@ -87,7 +70,7 @@ class LearnedSolver:
         hint = self.hints.update(targets, dt)
         if targets.left is None and targets.right is None:
             self._turn_to_head(hint, targets.head)
-        rests = self.head_rest.update(targets.eye, swing_twist_y(targets.head) or 0.0, dt)
+        rests = self.head_rest.update(targets.eye, quat.swing_twist_y(targets.head) or 0.0, dt)
         lost = self.uncertainty.update(targets, self._miss, dt)
         shown = self._shown_feet(lost)
         analytic = self.analytic.torso(targets, dt)
@@ -105,7 +88,7 @@ class LearnedSolver:
         if shown is self.feet:
             if place is not None:
                 self._seat_feet(hint, torso)
-            yaw = swing_twist_y(torso.pelvis) or 0.0
+            yaw = quat.swing_twist_y(torso.pelvis) or 0.0
             under = (torso.pelvis_at, torso.pelvis, yaw, dt, targets.feet, targets.knees)
             legs = self.feet.update(hint.feet, *under, (rests or stands >= 1) and place is None)
         else:
@@ -143,7 +126,7 @@ class LearnedSolver:
         yaw, rests = self.seat.yaw, SEAT_WEIGHT * self.seat.share
         for foot, leg in zip(hint.feet, self.feet.legs, strict=True):
             hip_x, hip_y, hip_z = leg.hip
-            facing = yaw_quat(yaw)
+            facing = quat.yaw_quat(yaw)
             x, _, z = add(torso.pelvis_at, rotate(facing, (hip_x, 0.0, hip_z + SEAT_FEET_AHEAD * leg.length)))
             knee = add(torso.pelvis_at, rotate(facing, (hip_x, hip_y, hip_z + leg.limb.upper)))
             foot.knee = pull(foot.knee, knee, rests)
@@ -154,29 +137,32 @@ class LearnedSolver:
 
     def _turn_to_head(self, hint: Hint, head: Quat) -> None:
         """Turn the body towards the head's heading, as its own is hard to estimate without hands."""
-        ahead, pelvis = swing_twist_y(head), swing_twist_y(hint.pelvis)
+        ahead, pelvis = quat.swing_twist_y(head), quat.swing_twist_y(hint.pelvis)
         if ahead is not None and pelvis is not None:
-            turn = yaw_quat((1 - HEADING_SHARE) * wrap(ahead - pelvis))
-            hint.pelvis, hint.chest = mul(turn, hint.pelvis), mul(turn, hint.chest)
+            turn = quat.yaw_quat((1 - HEADING_SHARE) * wrap(ahead - pelvis))
+            hint.pelvis, hint.chest = quat.mul(turn, hint.pelvis), quat.mul(turn, hint.chest)
 
     def _torso(self, targets: Targets, hint: Hint, place: Vec) -> Torso:
         """Return the hinted torso below the head, its pelvis swung about the neck towards ``place``."""
         torso = self.spine.hang(targets.eye, targets.head, hint.pelvis, hint.chest)
-        now, goal = unit(sub(torso.pelvis_at, torso.neck_at)), unit(_not_behind(sub(place, torso.neck_at), hint.pelvis))
+        now, goal = (
+            quat.unit(sub(torso.pelvis_at, torso.neck_at)),
+            quat.unit(_not_behind(sub(place, torso.neck_at), hint.pelvis)),
+        )
         axis = quat.cross(now, goal)
         size = length(axis)
         if size < 1e-6:
             return torso
         angle = min(acos(clamp(quat.dot(now, goal), -1.0, 1.0)), MAX_SWING_RAD)
         swing = quat.about((axis[0] / size, axis[1] / size, axis[2] / size), angle)
-        return self.spine.hang(targets.eye, targets.head, mul(swing, hint.pelvis), mul(swing, hint.chest))
+        return self.spine.hang(targets.eye, targets.head, quat.mul(swing, hint.pelvis), quat.mul(swing, hint.chest))
 
 
 def _not_behind(way: Vec, pelvis: Quat) -> Vec:
     """Limit the backward lean of the vector from neck to pelvis, as people do not lean back for long."""
-    yaw = swing_twist_y(pelvis)
+    yaw = quat.swing_twist_y(pelvis)
     if yaw is None or way[1] >= 0:
         return way
-    x, y, z = rotate(yaw_quat(-yaw), way)
+    x, y, z = rotate(quat.yaw_quat(-yaw), way)
     most = -LEAN_BACK * y
-    return way if z <= most else rotate(yaw_quat(yaw), (x, y, most + LEAN_BACK_SHARE * (z - most)))
+    return way if z <= most else rotate(quat.yaw_quat(yaw), (x, y, most + LEAN_BACK_SHARE * (z - most)))

@@ -15,6 +15,22 @@ MISSED_HAND_M = (0.06, 0.03)  # at an eye height of 1.6 m: a hand out of reach o
 MISSED_S = (0.2, 1.0)  # ... for that long
 TAKEOVER_S = 0.35  # duration of the torso's transition between the solvers
 
+SMOOTHING_S = 0.5  # of the model's inputs
+GAP_FLOOR_M, SPEED_FLOOR = 0.02, 0.05  # m, m/s: added under the logarithms
+MAX_ERROR_M = 0.8
+
+# a joint's expected error is exp of these times (1, log of gap, log of head speed, head lowness, lost hands)
+COEFFICIENTS: dict[tuple[int, ...], tuple[float, float, float, float, float]] = {
+    (b.PELVIS, *b.HIPS): (-0.74, 0.72, 0.15, 0.58, 0.10),
+    (b.SPINE1, b.SPINE2, b.SPINE3): (-1.12, 0.67, 0.11, 0.70, 0.11),
+    (b.NECK, b.HEAD): (-3.90, 0.18, -0.14, 0.96, 0.05),
+    (*b.COLLARS, *b.SHOULDERS): (-2.39, 0.37, 0.00, 0.62, 0.16),
+    b.ELBOWS: (-1.96, 0.45, 0.03, 0.21, 1.14),
+    b.WRISTS: (-2.43, 1.52, -0.11, 0.79, 4.35),
+    b.KNEES: (-0.69, 0.45, 0.25, 0.80, 0.05),
+    (*b.ANKLES, *b.FEET): (-0.44, 0.39, 0.25, 0.63, 0.09),
+}
+
 
 class Uncertainty:
     """Share of the analytic solver in the torso: 0 none, 1 all of it. Smooth in time.
@@ -49,23 +65,6 @@ class Uncertainty:
             self._share = goal
         self._share = clamp(goal, self._share - dt / TAKEOVER_S, self._share + dt / TAKEOVER_S)
         return smoothstep(self._share)
-
-
-SMOOTHING_S = 0.5  # of the model's inputs
-GAP_FLOOR_M, SPEED_FLOOR = 0.02, 0.05  # m, m/s: added under the logarithms
-MAX_ERROR_M = 0.8
-
-# a joint's expected error is exp of these times (1, log of gap, log of head speed, head lowness, lost hands)
-COEFFICIENTS: dict[tuple[int, ...], tuple[float, float, float, float, float]] = {
-    (b.PELVIS, *b.HIPS): (-0.74, 0.72, 0.15, 0.58, 0.10),
-    (b.SPINE1, b.SPINE2, b.SPINE3): (-1.12, 0.67, 0.11, 0.70, 0.11),
-    (b.NECK, b.HEAD): (-3.90, 0.18, -0.14, 0.96, 0.05),
-    (*b.COLLARS, *b.SHOULDERS): (-2.39, 0.37, 0.00, 0.62, 0.16),
-    b.ELBOWS: (-1.96, 0.45, 0.03, 0.21, 1.14),
-    b.WRISTS: (-2.43, 1.52, -0.11, 0.79, 4.35),
-    b.KNEES: (-0.69, 0.45, 0.25, 0.80, 0.05),
-    (*b.ANKLES, *b.FEET): (-0.44, 0.39, 0.25, 0.63, 0.09),
-}
 
 
 class ExpectedError:

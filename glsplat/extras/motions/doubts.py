@@ -117,13 +117,13 @@ def _speed(seen: _Seen) -> tuple[str, str]:
 
 
 def _size(seen: _Seen) -> tuple[str, str]:
-    height, gait = float(np.median(seen.low)), _gait(seen)
-    sways = gait.surely and abs(gait.made) < _SWAYS and abs(np.degrees(np.angle(gait.made))) < _SLIDES
+    height, (made, _, surely) = float(np.median(seen.low)), _gait(seen)
+    sways = surely and abs(made) < _SWAYS and abs(np.degrees(np.angle(made))) < _SLIDES
     if not sways and seen.fastest <= _FASTEST and abs(height) <= _FARTHEST:
         return "", ""
     units = [unit for unit in _UNITS if abs(height) * unit < 2 * seen.leg] or [*_UNITS[:1]]
-    if gait.surely and abs(gait.made) < 0.5:  # standing feet give the length of the path
-        units.sort(key=lambda unit: abs(np.log(abs(gait.made) / unit)))
+    if surely and abs(made) < 0.5:  # standing feet give the length of the path
+        units.sort(key=lambda unit: abs(np.log(abs(made) / unit)))
     else:
         units.sort(key=lambda unit: not _SPEEDS[0] < seen.fastest * unit < _SPEEDS[1])
     correction = f"scale={units[0]:g}" + ("#floor=0" if abs(height) * units[0] > _ABOVE else "")
@@ -131,7 +131,7 @@ def _size(seen: _Seen) -> tuple[str, str]:
         return f"they move at {seen.fastest:.0f} m/s", correction
     if abs(height) > _FARTHEST:
         return f"they are {abs(height):.0f} m {'above' if height > 0 else 'below'} the floor", correction
-    return f"their way is {1 / abs(gait.made):.0f} times as long as their legs make it", correction
+    return f"their way is {1 / abs(made):.0f} times as long as their legs make it", correction
 
 
 def _floor(seen: _Seen) -> tuple[str, str]:
@@ -155,30 +155,24 @@ def _way(seen: _Seen) -> tuple[str, str]:
     goes = seen.speed[:, 0] * (1, 0, 1)
     size = np.linalg.norm(goes, axis=1)
     walks = size > _WALKS
-    gait = _gait(seen)
-    if not gait.seen or float(size[walks].mean() * walks.mean()) * seen.seconds < _WAY:
+    made, steps, surely = _gait(seen)
+    if not steps or float(size[walks].mean() * walks.mean()) * seen.seconds < _WAY:
         return "", ""
-    if gait.surely and _PACE[0] < abs(gait.made) < _PACE[1]:
-        angle = float(np.degrees(np.angle(gait.made)))
+    if surely and _PACE[0] < abs(made) < _PACE[1]:
+        angle = float(np.degrees(np.angle(made)))
         quarter = round(-angle / 90) * 90 if abs(angle) > _SLIDES else 0
         if quarter:
             how = "back to front" if abs(quarter) == 180 else "sideways"
             return f"they walk {how}, their feet slide", f"turn={abs(quarter) if abs(quarter) == 180 else quarter}"
         return "", ""  # standing feet stay in place, also when walking backwards
     faces = float((unit_vectors(seen.ahead * (1, 0, 1))[walks] * goes[walks]).sum() / size[walks].sum())
-    against = faces < -_AGAINST and walks.mean() > _MOSTLY and gait.made.real < _GLIDES
+    against = faces < -_AGAINST and walks.mean() > _MOSTLY and made.real < _GLIDES
     return ("they move backwards, and their feet do not", "turn=180") if against else ("", "")
 
 
-@dataclass(frozen=True)
-class _Gait:
-    made: complex
-    """Factor of the pelvis' velocity that keeps a standing foot in place, complex (z + ix)."""
-    seen: bool  # whether the person walks
-    surely: bool  # whether the steps are a multiple of the path
-
-
-def _gait(seen: _Seen) -> _Gait:
+def _gait(seen: _Seen) -> tuple[complex, bool, bool]:
+    """Return the factor of the pelvis' velocity that keeps a standing foot in place, complex (z + ix); whether the
+    person walks; and whether the steps are a multiple of the path."""
     lower = seen.at[:, _FEET, 1].argmin(axis=1)
     body = seen.speed[:, 0]
     foot = seen.speed[np.arange(len(lower)), np.array(_FEET)[lower]] - body
@@ -186,8 +180,8 @@ def _gait(seen: _Seen) -> _Gait:
     trunk = unit_vectors(_middle(seen.at, "shoulder") - _middle(seen.at, "hip"))[:, 1]
     walks = (np.abs(way) > _WALKS) & (seen.low < np.percentile(seen.low, 10) + _LOW) & (trunk > _UPRIGHT)
     if walks.sum() < _FEW:
-        return _Gait(0j, False, False)
+        return 0j, False, False
     way, step = way[walks], step[walks]
     both = -np.vdot(way, step)
     alike = abs(both) / max(float(np.linalg.norm(way) * np.linalg.norm(step)), 1e-12)
-    return _Gait(complex(both / np.vdot(way, way)), True, alike > _ALIKE)
+    return complex(both / np.vdot(way, way)), True, alike > _ALIKE

@@ -1,9 +1,12 @@
-"""Retarget a clip of any skeleton to the 55 joints of SMPL-X."""
+"""Retarget a clip of any skeleton to the 55 joints of SMPL-X.
+
+First find a standing rest pose and the up axis of the clip, which many files lack or have wrong.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,19 +14,174 @@ import numpy as np
 from glsplat.arrays import F64
 from glsplat.errors import PoseError
 from glsplat.extras.motions.clip import Clip
-from glsplat.extras.motions.standing import flat_soles, standing
-from glsplat.extras.rigs.humanoid import t_pose_turns
-from glsplat.extras.rigs.match import RigMap, match_rig
+from glsplat.extras.rigs.humanoid import t_pose_turns, upright
+from glsplat.extras.rigs.match import RigMap, match_rig, other_side
 from glsplat.extras.rigs.words import word_of
 from glsplat.motion.fitted import leg_length
-from glsplat.rotations import matrix_quaternions, quaternion_vectors, rotation_matrices
+from glsplat.rotations import (
+    matrix_quaternions,
+    nearest_rotations,
+    quaternion_vectors,
+    rotation_between,
+    rotation_matrices,
+    unit_vectors,
+)
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES
 
-_AT = {name: i for i, name in enumerate(JOINT_NAMES)}
-_RIGID = 0.1  # of a bone: change of length that skins and capture systems cause
 _SIDES = ("left", "right")
+_LOOKED_AT = 256  # most frames among which a standing one is sought
+_TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar")
+_ACROSS, _ALONG = 0.3, 0.8  # cosines of the moving body's axis with up at rest (most) and with another axis (least)
+# of a leg: most height of soles, least height of hips, most speed of a standing foot in a second
+_LOW, _HIGH, _STILL = 0.25, 0.6, 0.3
+_NEAR = 0.1  # of a leg: height above a foot's lowest place
+_LEAST, _FRAMES = 0.05, 3  # least seconds and frames of a standing foot
+_ALIKE, _TILTED = 0.9, 0.75  # least cosines: of a foot's soles with each other, and of their tilt
+
+_RIGID = 0.1  # of a bone: change of length that skins and capture systems cause
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A clip whose rest pose stands."""
+
+    clip: Clip
+    map: RigMap
+    rest: F64  # [3, 3] rotates the rest pose upright: y up, x the person's left
+    world: F64  # [3, 3] the same for the world in which they move
+
+
+def standing(clip: Clip, *, swapped: bool = False) -> Standing:
+    """Return the clip, with another rest pose if its own does not stand.
+
+    ``swapped``: its left is right. Raises PoseError if no frame stands, or needed joints are missing.
+    """
+    if swapped:
+        found = _matched(clip)
+        other = {name: found.joints.get(other_side(name)) for name in JOINT_NAMES}
+        clip = replace(clip, given=other)
+    found = _matched(clip)
+    try:
+        turn = upright(found, clip.rest)
+    except PoseError as error:
+        clip, found, turn = _by_a_frame(clip, found, error)
+        return Standing(clip, found, turn, turn)
+    moves = np.eye(3) if clip.y_up else _up_as_it_moves(clip, found, turn[1], turn[0])
+    return Standing(clip, found, turn, turn @ moves)
+
+
+def _matched(clip: Clip) -> RigMap:
+    found = match_rig(clip.names, clip.parents, clip.rest, clip.given)
+    missing = [name for name in found.missing if name != "head"]  # a head without a joint stays as it is
+    if missing:
+        names = ", ".join(name[:24] for name in clip.names[:8])
+        raise PoseError(f"no joint for {', '.join(missing[:4])} among {names}, ...")
+    return found
+
+
+def _by_a_frame(clip: Clip, found: RigMap, error: PoseError) -> tuple[Clip, RigMap, F64]:
+    """Make the straightest frame the rest pose, for files whose bones at rest are all parallel (LaFAN's, Rokoko's).
+
+    Trunk and head rest in their mean rotations, as in one frame they may look aside.
+    """
+    best, straightest = -1, 0.0
+    for frame in range(0, len(clip), -(-len(clip) // _LOOKED_AT)):
+        straight = _straight(clip.places[frame], found)
+        if straight > straightest:
+            best, straightest = frame, straight
+    if best < 0:
+        raise error
+    clip = replace(clip, rest=clip.places[best])
+    found = _matched(clip)
+    base = clip.turns[best].copy()
+    at = found.joints
+    for name in _TRUNK[1:]:
+        if name in at:
+            above = int(clip.parents[at[name]])
+            if above >= 0:
+                usual = np.einsum("tji,tjk->ik", clip.turns[:, above], clip.turns[:, at[name]])
+                base[at[name]] = base[above] @ nearest_rotations(usual[None])[0]
+    return replace(clip, turns=clip.turns @ base.swapaxes(-1, -2)), found, upright(found, clip.rest)
+
+
+def _straight(points: F64, found: RigMap) -> float:
+    """Return how straight trunk, legs and arms and how upright trunk and legs are; 0 if the person does not stand."""
+    try:
+        y = upright(found, points)[1]
+    except PoseError:
+        return 0.0
+    if np.abs(y).max() < 1 - 1e-6:  # not along an axis
+        return 0.0
+    at = {name: points[index] for name, index in found.joints.items()}
+    marks = []
+    for side in _SIDES:
+        hip, knee, shoulder, elbow = (at[f"{side}_{part}"] for part in ("hip", "knee", "shoulder", "elbow"))
+        bones = [hip - knee, shoulder - hip] + ([knee - at[f"{side}_ankle"]] if f"{side}_ankle" in at else [])
+        marks += [unit_vectors(bone) @ y for bone in bones]
+        if f"{side}_wrist" in at:
+            marks.append(unit_vectors(elbow - shoulder) @ unit_vectors(at[f"{side}_wrist"] - elbow))
+    return float(np.mean(np.maximum(marks, 0)))
+
+
+def _up_as_it_moves(clip: Clip, found: RigMap, up: F64, left: F64) -> F64:
+    """Return the rotation [3, 3] from up while moving to up at rest: some files rest with y up and move with z up.
+
+    The floor distinguishes a person who lies down: along the other axis, the soles would not be at 0.
+    """
+    places = {name: clip.places[:, found.joints[name]] for name in found.joints}
+    hips, knees, shoulders = ((places[f"left_{p}"] + places[f"right_{p}"]) / 2 for p in ("hip", "knee", "shoulder"))
+    body = np.mean(unit_vectors(shoulders - hips) + unit_vectors(hips - knees), axis=0) / 2
+    other = np.zeros(3)
+    other[np.abs(body).argmax()] = np.sign(body[np.abs(body).argmax()])
+    if body @ up > _ACROSS or body @ other < _ALONG:
+        return np.eye(3)
+    leg = 2 * float(np.linalg.norm(clip.rest[found.joints["left_hip"]] - clip.rest[found.joints["left_knee"]]))
+    feet = [
+        places[f"{side}_{part}"] @ other for side in _SIDES for part in ("ankle", "foot") if f"{side}_{part}" in places
+    ]
+    above = not feet or abs(float(np.min(feet))) > _LOW * leg or float(np.median(hips @ other)) < _HIGH * leg
+    if above and abs(float(np.median(hips @ up))) < _HIGH * leg:  # a person cannot lie in the air
+        return np.eye(3)
+    turn = rotation_between(other, up)
+    across = turn @ (places["left_hip"][0] - places["right_hip"][0])
+    about = 2 * np.outer(up, up) - np.eye(3)  # half a turn, so that they start facing ahead as in most files
+    return turn if across @ left > 0 else about @ turn
+
+
+def flat_soles(
+    stood: Standing,
+    turned: F64,  # [T, 3, 3] of an ankle, upright
+    side: str,
+) -> F64:
+    """Return the local rotation [3, 3] of an ankle that makes its sole flat while it stands; the identity if unknown.
+
+    Joints do not give the sole's tilt at rest: it is level in most files, and tilted with spread legs in others (CMU).
+    """
+    clip, at = stood.clip, stood.map.joints
+    leg = 2 * float(np.linalg.norm(clip.rest[at[f"{side}_hip"]] - clip.rest[at[f"{side}_knee"]]))
+    joints = [at[f"{side}_{part}"] for part in ("ankle", "foot") if f"{side}_{part}" in at]
+    if len(clip) < 2 or not joints or leg <= 0:
+        return np.eye(3)
+    speed = np.zeros(len(clip))
+    low = np.ones(len(clip), bool)
+    for joint in joints:
+        steps = np.linalg.norm(np.diff(clip.places[:, joint], axis=0), axis=1) * clip.fps
+        speed = np.maximum(speed, np.append(steps, steps[-1]))
+        height = clip.places[:, joint] @ stood.world[1]
+        low &= height < np.percentile(height, 5) + _NEAR * leg
+    stands = low & (speed < _STILL * leg)
+    if stands.sum() < max(_LEAST * clip.fps, _FRAMES):
+        return np.eye(3)
+    up = turned[stands, 1].mean(axis=0)  # the floor's normal as the foot has it
+    size = float(np.linalg.norm(up))
+    if size < _ALIKE or up[1] < _TILTED * size:
+        return np.eye(3)
+    return rotation_between([0.0, 1.0, 0.0], up)
+
+
+_AT = {name: i for i, name in enumerate(JOINT_NAMES)}
 # joints along each limb; a bone that a file splits ends where the next of these begins
 _CHAINS = (
     ("spine1", "spine2", "spine3", "neck", "head"),

@@ -41,7 +41,7 @@ class DepthRange:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Mirror and floor for eyes.frag.glsl, made by ``openxr.room``; arrays [2, ...] have a row for each eye."""
+    """Mirror and floor for eyes.frag.glsl, made by ``openxr.placing``; arrays [2, ...] have a row for each eye."""
 
     glass_from_pixel: NDArray[np.float64]  # [2, 3, 3]
     floor_from_pixel: NDArray[np.float64]  # [2, 3, 3]

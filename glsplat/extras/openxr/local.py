@@ -11,11 +11,9 @@ import moderngl
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.errors import GlsplatError
-from glsplat.extras.openxr.cameras import NEAR, camera_of, sighted
 from glsplat.extras.openxr.eyes import DepthRange, Surroundings
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
-from glsplat.extras.openxr.placing import Place, ViewName
-from glsplat.extras.openxr.room import surroundings
+from glsplat.extras.openxr.placing import NEAR, Place, ViewName, camera_of, sighted, surroundings
 from glsplat.extras.openxr.runtime import FrameTiming, Projection, ViewPose
 from glsplat.extras.openxr.session import Shown
 from glsplat.extras.openxr.swapchains import EyeSwapchains, fitting
@@ -32,8 +30,7 @@ from glsplat.tracking.calibration import Calibration
 from glsplat.tracking.solvers import SOLVERS, SolverName
 from glsplat.tracking.tracker import Tracker
 
-FAR = 100.0
-"""Far plane of submitted depths in metres; larger depths are clamped to it."""
+FAR = 100.0  # far plane of submitted depths in metres; larger depths are clamped to it
 
 
 class LocalShow:
@@ -61,7 +58,7 @@ class LocalShow:
         timed: bool = False,  # wait for the GPU, so that drawing times are exact
     ) -> None:
         file = scene if isinstance(scene, SceneFile) else SceneFile.of(scene)
-        self._context = context
+        self.context = context
         self.wearer: Wearer = wearer
         self._scale, self._depth, self._floor, self._transparent = scale, depth, floor and not transparent, transparent
         self._advance, self._finish = advance, context.ctx.finish if timed else None
@@ -79,7 +76,7 @@ class LocalShow:
         self._own: Scene | None = None  # the scene without the avatar's head, for its own view
         self._own_item: Item | None = None
         self._loaded: ViewName | None = None
-        self._eyes: EyeSwapchains | None = None
+        self.eyes: EyeSwapchains | None = None  # of the attached runtime
         self._last: Projection | None = None
         self._time: float | None = None
         self._target: Target | None = None  # of the last frame, as are the next three
@@ -87,26 +84,9 @@ class LocalShow:
         self.cameras: list[Camera] = []
         self.views: Sequence[ViewPose] = ()
         self.copy_ms = 0.0  # time to copy the last pair into the images
-        config = replace(
-            config or RenderConfig(), output="float32"
-        )  # nothing is read back; copying to the images rounds
-        self._renderer = Renderer(self._scene, size=(64, 64), views=2, config=config, context=context)
-        self._renderer.timer = StageTimer(self._finish)
-
-    @property
-    def renderer(self) -> Renderer:
-        """Renderer of both eyes."""
-        return self._renderer
-
-    @property
-    def context(self) -> Context:
-        """Context of the renderer."""
-        return self._context
-
-    @property
-    def eyes(self) -> EyeSwapchains | None:
-        """Swapchains of the attached runtime; None if there is none."""
-        return self._eyes
+        config = replace(config or RenderConfig(), output="float32")  # nothing is read back; copying rounds
+        self.renderer: Renderer = Renderer(self._scene, size=(64, 64), views=2, config=config, context=context)
+        self.renderer.timer = StageTimer(self._finish)
 
     @property
     def scene(self) -> Scene:
@@ -120,13 +100,13 @@ class LocalShow:
 
     def attach(self, runtime: OpenXrRuntime) -> None:
         """Make swapchains of the runtime's size."""
-        size = fitting(runtime, self._scale, self._context.max_size)
-        self._eyes = EyeSwapchains(runtime, self._context, size, self._depth)
-        self._renderer.resize(*size)
+        size = fitting(runtime, self._scale, self.context.max_size)
+        self.eyes = EyeSwapchains(runtime, self.context, size, self._depth)
+        self.renderer.resize(*size)
 
     def detach(self) -> None:
         """Close the swapchains."""
-        eyes, self._eyes, self._last, self._target = self._eyes, None, None, None
+        eyes, self.eyes, self._last, self._target = self.eyes, None, None, None
         if eyes is not None:
             eyes.close()
         self.recentred()
@@ -139,7 +119,7 @@ class LocalShow:
 
     def frame(self, runtime: OpenXrRuntime, timing: FrameTiming, focused: bool) -> Shown:
         """Track and solve the wearer, locate the eyes as late as possible, draw, and fill the swapchains."""
-        eyes = self._eyes
+        eyes = self.eyes
         assert eyes is not None
         now = timing.display_time * 1e-9
         if self._time is not None:
@@ -163,7 +143,7 @@ class LocalShow:
         self._around = surroundings(views, eyes.size, place, self._floor)
         depth = DepthRange(NEAR, FAR) if eyes.depth else None
         begun = time.perf_counter()
-        self._target = self._renderer.draw(self.cameras, depth=eyes.depth)
+        self._target = self.renderer.draw(self.cameras, depth=eyes.depth)
         if self._finish is not None:
             self._finish()
         drawing = time.perf_counter() - begun
@@ -174,15 +154,15 @@ class LocalShow:
 
     def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
         """Show the wearer's last picture in a window; return False if there is none."""
-        if self._eyes is None or self._target is None:
+        if self.eyes is None or self._target is None:
             return False
-        self._eyes.show(self._target, framebuffer, size, self._around, eye)
+        self.eyes.show(self._target, framebuffer, size, self._around, eye)
         return True
 
     def release(self) -> None:
         """Delete all GL objects."""
         self.detach()
-        self._renderer.release()
+        self.renderer.release()
 
     def _show(self, place: Place) -> None:
         """Load the scene of a view; the own view has an avatar without head."""
@@ -196,7 +176,7 @@ class LocalShow:
         wanted: ViewName = "own" if own and self._own is not None else "mirror"
         if self._loaded != wanted and (self._loaded is not None or wanted == "own"):
             scene = self._own if wanted == "own" and self._own is not None else self._scene
-            self._renderer.load(scene)
+            self.renderer.load(scene)
         self._loaded = wanted
 
     def _headless(self) -> None:

@@ -15,10 +15,13 @@ from glsplat.extras.openxr.eyes import DepthRange
 from glsplat.tracking.sample import Transform
 
 if TYPE_CHECKING:
-    from glsplat.extras.openxr.openxr.swapchain import Swapchain
+    from glsplat.extras.openxr.openxr.calls import Swapchain
 
 Blend = Literal["opaque", "additive", "alpha"]
 """XrEnvironmentBlendMode; alpha also stands for XR_FB_passthrough."""
+
+Hands = tuple[tuple[Transform, ...] | None, tuple[Transform, ...] | None]
+"""Left and right: the 26 joints of XR_HAND_JOINT_SET_DEFAULT_EXT, palm first; None: not tracked."""
 
 
 class State(IntEnum):
@@ -69,10 +72,6 @@ class Event:
     kind: Literal["state", "recentred", "lost"]
     state: State = State.UNKNOWN
     time: int = 0
-
-
-Hands = tuple[tuple[Transform, ...] | None, tuple[Transform, ...] | None]
-"""Left and right: the 26 joints of XR_HAND_JOINT_SET_DEFAULT_EXT, palm first; None: not tracked."""
 
 
 @dataclass(frozen=True, slots=True)

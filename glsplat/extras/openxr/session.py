@@ -75,13 +75,8 @@ class Session:
         self._overheads: deque[float] = deque(maxlen=_MEASURED)
         self._backoff = Backoff()
         self._again = 0.0
-        self._runtime: OpenXrRuntime | None = None
+        self.runtime: OpenXrRuntime | None = None  # None after a loss
         self._open()
-
-    @property
-    def runtime(self) -> OpenXrRuntime | None:
-        """The connected runtime; None after a loss."""
-        return self._runtime
 
     @property
     def focused(self) -> bool:
@@ -99,11 +94,11 @@ class Session:
         if self._quit is not None:
             return
         self._quit = self._clock() + _PATIENCE
-        if self._runtime is None or not self._running:
+        if self.runtime is None or not self._running:
             self._over = True
             return
         try:
-            self._runtime.request_exit()
+            self.runtime.request_exit()
         except ContextLostError:
             self._over = True
 
@@ -111,15 +106,15 @@ class Session:
         """Run one frame, or poll a session that does not run. Returns False when it is over."""
         if self._over or (self._quit is not None and self._clock() > self._quit):
             return False
-        if self._runtime is None:
+        if self.runtime is None:
             self._reopen()
             return True
         try:
-            self._listen(self._runtime)
+            self._listen(self.runtime)
             if self._over:
                 return False
             if self._running:
-                self._frame(self._runtime)
+                self._frame(self.runtime)
             else:
                 self._sleep(_IDLE)
         except ContextLostError as error:
@@ -188,7 +183,7 @@ class Session:
             self._show.detach()
             runtime.close()
             raise
-        self._runtime = runtime
+        self.runtime = runtime
 
     def _reopen(self) -> None:
         if self._clock() < self._again:
@@ -200,8 +195,8 @@ class Session:
             self._wait(str(error))
             return
         self._backoff.connected()
-        assert self._runtime is not None
-        self._say(f"{self._runtime.name} is back")
+        assert self.runtime is not None
+        self._say(f"{self.runtime.name} is back")
 
     def _lose(self, why: str) -> None:
         self.losses += 1
@@ -217,7 +212,7 @@ class Session:
         self._say(f"{why}; trying again in {pause:g} s")
 
     def _drop(self) -> None:
-        runtime, self._runtime = self._runtime, None
+        runtime, self.runtime = self.runtime, None
         self._running, self.state = False, State.UNKNOWN
         if runtime is not None:
             try:

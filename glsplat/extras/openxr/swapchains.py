@@ -10,8 +10,8 @@ import moderngl
 
 from glsplat.errors import ContextError, ContextLostError, GlsplatError
 from glsplat.extras.openxr.eyes import DepthRange, EyeImages, EyePass, Surroundings
+from glsplat.extras.openxr.openxr.calls import Swapchain
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
-from glsplat.extras.openxr.openxr.swapchain import Swapchain
 from glsplat.extras.openxr.runtime import Projection, ViewPose
 from glsplat.gl.context import Context
 from glsplat.renderer.targets import Target

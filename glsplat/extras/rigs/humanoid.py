@@ -9,7 +9,6 @@ So poses, motions and tracking have the same effect on every rig.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from itertools import pairwise
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glsplat.arrays import F64
 from glsplat.errors import PoseError
-from glsplat.extras.rigs.match import RigMap
+from glsplat.extras.rigs.match import RigMap, match_rig
 from glsplat.rotations import nearest_rotations, rotation_between, rotation_matrices, unit_vectors
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
@@ -42,15 +41,6 @@ _ASTRIDE = 0.25  # least distance from the middle of the hips to that of the kne
 _ASKEW = 0.924  # cosine of 22.5 degrees
 _AWAY = 0.5  # of the way from hips to shoulders: a pelvis farther than that from the hips is ignored
 _FEW = 3  # fewest knuckles that give a hand's rotation
-
-
-@dataclass(frozen=True, eq=False)
-class Humanoid:
-    """A rig with SMPL-X's joints."""
-
-    joints: F64  # [55, 3] metres, in the T-pose
-    frames: F64  # [55, 4, 4] of the same joints in the rig's rest pose; in the T-pose all are parallel to the world
-    of: NDArray[np.intp]  # [J] which of the 55 joints moves each of the rig's
 
 
 def upright(rig: RigMap, positions: ArrayLike) -> F64:
@@ -85,32 +75,6 @@ def upright(rig: RigMap, positions: ArrayLike) -> F64:
     return np.stack([x, y, np.cross(x, y)])
 
 
-def humanoid(
-    rig: RigMap,
-    parents: ArrayLike,  # [J] of the rig, -1 for a root
-    positions: ArrayLike,  # [J, 3] metres at rest, upright
-    reference: ArrayLike,  # [55, 3] joints of a body in the T-pose, metres
-) -> Humanoid:
-    """Return the 55 joints of a rig that has all of ``match.NEEDED``. Raises PoseError if one is missing."""
-    if rig.missing:
-        raise PoseError(f"a rig cannot be driven without {', '.join(rig.missing)}; name them in a rig map")
-    points, body = np.asarray(positions, np.float64), np.asarray(reference, np.float64)
-    rest = {name: points[index] for name, index in rig.joints.items()}
-    rest["pelvis"] = _pelvis(rest, body)
-    turns = t_pose_turns(rest, body)
-    joints = _t_pose(rest, turns, body)
-    frames = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
-    for index, name in enumerate(JOINT_NAMES):
-        frames[index, :3, :3] = turns[name].T
-        parent = int(PARENTS[index])
-        if name in rest:
-            frames[index, :3, 3] = rest[name]
-        else:  # as in the T-pose, under its parent
-            turn = frames[parent, :3, :3]
-            frames[index, :3, 3] = frames[parent, :3, 3] + turn @ (joints[index] - joints[parent])
-    return Humanoid(joints, frames, _moved_by(rig, np.asarray(parents, np.intp), points))
-
-
 @lru_cache(maxsize=1)
 def reference_joints() -> F64:
     """Return the joints [55, 3] of the embedded open body in its zero pose and shape, metres, read-only."""
@@ -143,15 +107,33 @@ def seated(
     scale: float = 1.0,
 ) -> tuple[F64, Skeleton, NDArray[np.intp]]:
     """Return upright metres from ``bound``'s space [4, 4], the rig's skeleton with SMPL-X's joints, and [J] which of
-    the 55 moves each joint."""
+    the 55 moves each joint.
+
+    The rest pose is the T-pose, parallel to the world; the inverse bind matrices have the frames of the rig's own rest
+    pose. Raises PoseError if a joint of ``match.NEEDED`` is missing.
+    """
+    if rig.missing:
+        raise PoseError(f"a rig cannot be driven without {', '.join(rig.missing)}; name them in a rig map")
     nodes = list(rig.joints.values())
     sizes = [np.cbrt(np.abs(np.linalg.det(frames[nodes, :3, :3]))) for frames in (shown, bound)]
     turn = np.eye(4)
     turn[:3, :3] = scale * float(np.median(sizes[0] / sizes[1])) * upright(rig, bound[:, :3, 3])
-    person = humanoid(rig, parents, bound[:, :3, 3] @ turn[:3, :3].T, reference)
-    rest = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
-    rest[:, :3, 3] = person.joints
-    return turn, Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(person.frames)), person.of
+    points, body = bound[:, :3, 3] @ turn[:3, :3].T, np.asarray(reference, np.float64)
+    at = {name: points[index] for name, index in rig.joints.items()}
+    at["pelvis"] = _pelvis(at, body)
+    turns = t_pose_turns(at, body)
+    rest, frames = np.tile(np.eye(4), (2, len(JOINT_NAMES), 1, 1))
+    rest[:, :3, 3] = joints = _t_pose(at, turns, body)
+    for index, name in enumerate(JOINT_NAMES):
+        frames[index, :3, :3] = turns[name].T
+        parent = int(PARENTS[index])
+        if name in at:
+            frames[index, :3, 3] = at[name]
+        else:  # as in the T-pose, under its parent
+            bent = frames[parent, :3, :3] @ (joints[index] - joints[parent])
+            frames[index, :3, 3] = frames[parent, :3, 3] + bent
+    of = _moved_by(rig, np.asarray(parents, np.intp), points)
+    return turn, Skeleton(JOINT_NAMES, PARENTS, rest, np.linalg.inv(frames)), of
 
 
 def t_pose_turns(
@@ -290,3 +272,24 @@ def _half_twist(turn: F64, along: F64) -> F64:
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     angle = np.arctan2(float(axis @ along), 1.0 + float(np.trace(turn)))  # of the quaternion's twist, half the angle
     return rotation_matrices(along * angle)
+
+
+def why_undriven(skeleton: Skeleton) -> str:
+    """Return the reason in one line, with the joints that are missing, for a rig that is not SMPL-X's."""
+    names = skeleton.names
+    try:
+        with np.errstate(all="ignore"):  # joints of 1e300 m
+            found = match_rig(names, skeleton.parents, skeleton.joints)
+            if found.missing:
+                some = ", ".join(map(_plain, names[:4])) + (", ..." if len(names) > 4 else "")
+                return f"no joint for {', '.join(found.missing)} among its {len(names)} ({some})"
+            upright(found, skeleton.joints)
+    except PoseError as error:
+        return str(error)
+    other = next(f"{name} is {_plain(names[index])}" for name, index in found.joints.items() if names[index] != name)
+    return f"its joints are another rig's ({other}, ...); glsplat avatar import puts it on the 55 of SMPL-X"
+
+
+def _plain(name: str) -> str:
+    """Return the start of a name, without characters that break the line or control the terminal."""
+    return "".join(c if c.isprintable() else "?" for c in name[:24])

@@ -30,8 +30,7 @@ class RigMap:
     """SMPL-X joint -> index in the rig, in SMPL-X's order."""
 
     joints: Mapping[str, int]
-    missing: tuple[str, ...]
-    """Missing joints of NEEDED; with any, the rig cannot be driven."""
+    missing: tuple[str, ...]  # missing joints of NEEDED; with any, the rig cannot be driven
 
     def __len__(self) -> int:
         return len(self.joints)

@@ -36,60 +36,47 @@ _PARTS: dict[str, tuple[str, ...]] = {
     ),
     **{finger: (finger, f"hand{finger}", f"f{finger}", f"{finger}finger", f"finger{finger}") for finger in FINGERS},
 }
-_ALSO = {
-    "middle": ("mid", "handmid", "fmid"),
-    "pinky": ("little", "handlittle", "flittle", "littlefinger", "pinkie", "small"),
-    "index": ("point", "pointer", "fore"),
-}
+_PARTS["middle"] += ("mid", "handmid", "fmid")
+_PARTS["pinky"] += ("little", "handlittle", "flittle", "littlefinger", "pinkie", "small")
+_PARTS["index"] += ("point", "pointer", "fore")
 _KNOWN = {
-    stem: tuple(part for part, stems in _PARTS.items() if stem in (*stems, *_ALSO.get(part, ())))
-    for stem in {stem for part in _PARTS for stem in (*_PARTS[part], *_ALSO.get(part, ()))}
+    stem: tuple(part for part, others in _PARTS.items() if stem in others)
+    for stems in _PARTS.values()
+    for stem in stems
 }
-_RANK = {
-    (part, stem): rank for part, stems in _PARTS.items() for rank, stem in enumerate((*stems, *_ALSO.get(part, ())))
-}
+_RANK = {(part, stem): rank for part, stems in _PARTS.items() for rank, stem in enumerate(stems)}
 _PHALANX = {"proximal": 1, "intermediate": 2, "distal": 3}
 _SIDES = {"left": "left", "l": "left", "lft": "left", "lf": "left", "right": "right", "r": "right", "rgt": "right"}
 _SIDES |= {"rt": "right", "lt": "left"}
 # words that make a joint a helper, a target or a tip instead of the named part
-_HELPERS = {
-    *("ik", "fk", "pole", "target", "ctrl", "control", "ctl", "controller", "orient", "helper", "twist", "roll"),
-    *("mch", "org", "tweak", "vis", "end", "nub", "tip", "site", "top", "tracker", "slot", "socket", "attach", "prop"),
-    *("hair", "skirt", "brow", "eyebrow", "lid", "eyelid", "lash", "lip", "tongue", "teeth", "breast", "boob", "butt"),
-    *("metacarpal", "carpal", "weapon", "muscle", "corrective", "adj", "offset", "parent", "share"),
-    *("leaf", "part", "pectoral", "pec", "buttock", "glute", "chin", "mouth", "eyebrows", "both", "wrinkle", "bulge"),
-    *("gun", "virtual", "dyn", "physics", "spring", "cloth", "sleeve", "cape", "tail", "wing", "ear", "nose", "cheek"),
-}
-_PREFIXES = {"def", "bip", "bip01", "bip001", "biped", "bone", "jnt", "joint", "rig", "armature", "skeleton", "b", "j"}
-_PREFIXES |= {"cc", "base", "mixamorig", "valve", "valvebiped", "character", "c", "m", "sk", "jt", "bn", "root"}
-_PREFIXES |= {"actor", "avg", "stretch", "x", "bind", "deform", "dfm", "skin", "start"}
+_HELPERS = set(
+    """
+ik fk pole target ctrl control ctl controller orient helper twist roll mch org tweak vis end
+nub tip site top tracker slot socket attach prop hair skirt brow eyebrow lid eyelid lash lip
+tongue teeth breast boob butt metacarpal carpal weapon muscle corrective adj offset parent
+share leaf part pectoral pec buttock glute chin mouth eyebrows both wrinkle bulge gun
+virtual dyn physics spring cloth sleeve cape tail wing ear nose cheek
+""".split()
+)
+_PREFIXES = set(
+    """
+def bip bip01 bip001 biped bone jnt joint rig armature skeleton b j cc base mixamorig valve
+valvebiped character c m sk jt bn root actor avg stretch x bind deform dfm skin start
+""".split()
+)
 _WHERE = {"upper", "lower", "middle", "mid", "low", "up"}  # position on a spine or a neck
 _LIMBS = {"arm", "leg", "head", "hand", "foot", "face"}  # the limb of a part: "arm left elbow"
 _PIECES = {"finger", "phalanx"}
-# MikuMikuDance; the longest first
-_JAPANESE = {
-    **{"足首": "ankle", "手首": "wrist", "つま先": "toe", "足先": "toe", "ひざ": "knee", "ひじ": "elbow"},
-    **{"親指": "thumb", "人指": "index", "人差指": "index", "人差し指": "index", "中指": "middle", "薬指": "ring"},
-    **{
-        "小指": "pinky",
-        "上半身": "spine",
-        "下半身": "pelvis",
-        "両": "both",
-        "捩": "twist",
-        "膝": "knee",
-        "肘": "elbow",
-    },
-    **{"左": "left", "右": "right", "頭": "head", "首": "neck", "肩": "shoulder", "腕": "upperarm", "足": "thigh"},
-    **{
-        "手": "hand",
-        "目": "eye",
-        "髪": "hair",
-        "胸": "breast",
-        "スカート": "skirt",
-        "先": "end",
-        "キャンセル": "helper",
-    },
-}
+# MikuMikuDance
+_JAPANESE = dict(
+    pair.split("=")
+    for pair in (
+        "足首=ankle 手首=wrist つま先=toe 足先=toe ひざ=knee ひじ=elbow 親指=thumb 人指=index 人差指=index "
+        "人差し指=index 中指=middle 薬指=ring 小指=pinky 上半身=spine 下半身=pelvis 両=both 捩=twist 膝=knee "
+        "肘=elbow 左=left 右=right 頭=head 首=neck 肩=shoulder 腕=upperarm 足=thigh 手=hand 目=eye 髪=hair "
+        "胸=breast スカート=skirt 先=end キャンセル=helper"
+    ).split()
+)
 _FOREIGN = re.compile("|".join(sorted(_JAPANESE, key=len, reverse=True)))
 _COPIES = re.compile(r"(thigh|knee|ankle) D$")  # MikuMikuDance: the bone that moves the skin
 _ESCAPED = re.compile(r"FBXASC(\d{3})")  # Autodesk's escape of a character that FBX does not allow

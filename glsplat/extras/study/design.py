@@ -8,30 +8,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.questionnaires import Questionnaire, questionnaire_of
-from glsplat.extras.study.tables import Table, read_toml
+from glsplat.extras.study.tables import Table, is_number, read_toml
 
-MAX_PARTICIPANTS = 999
-"""Participant numbers have three digits."""
+MAX_PARTICIPANTS = 999  # participant numbers have three digits
 
 View = Literal["mirror", "facing", "own"]
-_VIEWS = ("mirror", "facing", "own")
 _CONDITION_KEYS = ("view", "light", "latency", "hands")
-_RESERVED_COLUMNS = (
-    "participant",
-    "condition",
-    "position",
-    "measure",
-    "value",
-    "step",
-    "item",
-    "questionnaire",
-    "seconds",
-    "reversed",
-)
+_RESERVED_COLUMNS = "participant condition position measure value step item questionnaire seconds reversed".split()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +62,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Order of conditions (orders.py). ``block``: a factor whose levels stay together."""
+    """Order of conditions (plan.py). ``block``: a factor whose levels stay together."""
 
     scheme: Literal["williams", "random", "fixed"] = "williams"
     block: str = ""
@@ -156,6 +143,10 @@ def read_study(path: str | Path) -> Study:
     for name in texts.keys:
         questionnaires[name] = questionnaires[name].with_texts(texts.table(name))
     conditions = _conditions(table, within)
+    ordering = table.table("order")
+    ordering.known("scheme", "block")
+    scheme: Any = ordering.choice("scheme", ("williams", "random", "fixed"), "williams")
+    order = Order(scheme, ordering.choice("block", ("", *(factor.name for factor in within)), ""))
     tasks = tuple(_task(one) for one in table.tables("task"))
     _check_unique(table, "task", [task.name for task in tasks])
     if not tasks and not stages[1]:
@@ -167,7 +158,7 @@ def read_study(path: str | Path) -> Study:
         seed=table.count("seed", 0, 2**31 - 1),
         consent=table.text("consent"),
         factors=factors,
-        order=_order(table.table("order"), within),
+        order=order,
         conditions=conditions,
         tasks=tasks,
         before=stages[0],
@@ -190,7 +181,7 @@ def _factors(table: Table) -> tuple[Factor, ...]:
             for level in levels.texts(name, 2, 20):
                 levels.checked_name(name, level)
             found.append(Factor(name, levels.texts(name, 2, 20), key == "between"))
-    if not any(not one.between for one in found):
+    if all(one.between for one in found):
         raise table.error("factors", 'expected a factor with its levels, such as type = ["self", "other"]')
     return tuple(found)
 
@@ -202,13 +193,12 @@ def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ..
     for one in table.tables("condition"):
         one.known("name", "avatar", *_CONDITION_KEYS, *(factor.name for factor in within))
         levels = {factor.name: one.choice(factor.name, factor.levels) for factor in within}
-        avatar = one.text("avatar", usual.text("avatar", "default", 300), 300)
-        view: Any = one.choice("view", _VIEWS, usual.choice("view", _VIEWS, "mirror"))
+        view: Any = one.choice("view", get_args(View), usual.choice("view", get_args(View), "mirror"))
         found.append(
             Condition(
                 name=one.name("name"),
                 levels=levels,
-                avatar=avatar,
+                avatar=one.text("avatar", usual.text("avatar", "default", 300), 300),
                 view=view,
                 light=_light(one, _light(usual, (1.0, 1.0, 1.0))),
                 latency=one.number("latency", 0, 2000, usual.number("latency", 0, 2000, 0.0)),
@@ -219,9 +209,9 @@ def _conditions(table: Table, within: tuple[Factor, ...]) -> tuple[Condition, ..
         raise table.error("condition", f"expected 1 to 20 [[condition]], found {len(found)}")
     _check_unique(table, "condition", [one.name for one in found])
     cells = [tuple(one.levels.values()) for one in found]
-    twice = next((name for one, name in zip(cells, found, strict=True) if cells.count(one) > 1), None)
-    if twice is not None:
-        raise table.error("condition", f"{twice.name!r} has the same levels as another one; each stands once")
+    for cell, condition in zip(cells, found, strict=True):
+        if cells.count(cell) > 1:
+            raise table.error("condition", f"{condition.name!r} has the same levels as another one; each stands once")
     return tuple(found)
 
 
@@ -229,8 +219,7 @@ def _light(table: Table, usual: tuple[float, float, float]) -> tuple[float, floa
     """Return the light as RGB; the file has one number from 0 to 1, or three."""
     value = table["light"] if "light" in table else list(usual)
     values = value if isinstance(value, list) else [value] * 3
-    good = all(isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1 for v in values)
-    if len(values) != 3 or not good:
+    if len(values) != 3 or not all(is_number(v) and 0 <= v <= 1 for v in values):
         raise table.error("light", f"expected a number from 0 to 1, or [red, green, blue], not {value!r:.60}")
     red, green, blue = map(float, values)
     return red, green, blue
@@ -249,12 +238,6 @@ def _task(one: Table) -> Task:
     )
 
 
-def _order(table: Table, within: tuple[Factor, ...]) -> Order:
-    table.known("scheme", "block")
-    scheme: Any = table.choice("scheme", ("williams", "random", "fixed"), "williams")
-    return Order(scheme, table.choice("block", ("", *(factor.name for factor in within)), ""))
-
-
 def _read_stage(table: Table, stage: str, folder: Path, into: dict[str, Questionnaire]) -> tuple[str, ...]:
     """Read a stage's questionnaires into ``into`` and return their names."""
     names = []
@@ -270,8 +253,7 @@ def _read_stage(table: Table, stage: str, folder: Path, into: dict[str, Question
 
 
 def _check_unique(table: Table, key: str, names: list[str]) -> None:
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
+    if twice := [name for name in names if names.count(name) > 1]:
         raise table.error(key, f"there are two called {twice[0]!r}; rename one")
 
 

@@ -18,15 +18,13 @@ from typing import Any
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.design import Study
-from glsplat.extras.study.plan import Plan, label
+from glsplat.extras.study.plan import Plan, Step, label, steps_of
 from glsplat.extras.study.questionnaires import Answer
 from glsplat.extras.study.session import Event, Session
-from glsplat.extras.study.steps import Step, steps_of
 from glsplat.extras.study.store import FRAMES, SESSION, Log, folders, lines_of
 from glsplat.io.files import naming, open_regular, replace_file
 
-BEFORE = ".before"
-"""Suffix of the measures of questionnaires before the first condition."""
+BEFORE = ".before"  # suffix of the measures of questionnaires before the first condition
 
 Row = dict[str, Any]
 _RUNNING = ("phase", "running")
@@ -97,29 +95,21 @@ def export(
         if number <= len(plan.orders):
             people.append(_read(study, plan, number, folder))
         progress(done, len(found))
-    factors = [factor.name for factor in study.factors]
-    place = ["participant", "position", "condition", *factors]
+    between = [factor.name for factor in study.factors if factor.between]
+    place = ["participant", "position", "condition", *(factor.name for factor in study.factors)]
+    answered = ["questionnaire", "item", "value", "reversed", "seconds"]
     tables: dict[str, tuple[list[str], list[Row]]] = {
         "participants": (
-            [
-                "participant",
-                *(f.name for f in study.factors if f.between),
-                "state",
-                "steps",
-                "of",
-                "seconds",
-                "restarts",
-                "notes",
-            ],
+            ["participant", *between, "state", "steps", "of", "seconds", "restarts", "notes"],
             [_person(one) for one in people],
         ),
         "answers": (
-            ["participant", "step", *place[1:], "questionnaire", "item", "value", "reversed", "seconds"],
+            ["participant", "step", *place[1:], *answered],
             [row for one in people for row in _answers(study, one)],
         ),
         "scores": ([*place, "measure", "value"], [row for one in people for row in _scores(study, one)]),
         "frames": (
-            [*place, "task", "attempt", "samples", "fps", "age_ms", "age_p95_ms"],
+            [*place, "task", "attempt", "samples", *_FIGURES],
             [row for one in people for row in _frame_rows(study, one)],
         ),
     }
@@ -291,6 +281,7 @@ def _columns(study: Study) -> dict[str, dict[str, Any]]:
     conditions = {
         one.name: f"{one.avatar}, {one.view}, light {one.light}, {one.latency:g} ms added" for one in study.conditions
     }
+    ends = {"done": "all steps", "declined": "no consent", "aborted": "by the experimenter"}
     return {
         "participant": {"Description": "pseudonym; the folder of the data"},
         "position": {"Description": "of the condition in the participant's order, from 1; empty outside conditions"},
@@ -302,15 +293,7 @@ def _columns(study: Study) -> dict[str, dict[str, Any]]:
             }
             for factor in study.factors
         },
-        "state": {
-            "Description": "of the session",
-            "Levels": {
-                "done": "all steps",
-                "declined": "no consent",
-                "aborted": "by the experimenter",
-                "under way": "not at its end",
-            },
-        },
+        "state": {"Description": "of the session", "Levels": ends | {"under way": "not at its end"}},
         "steps": {"Description": "finished"},
         "of": {"Description": "steps in all"},
         "restarts": {"Description": "times that a server took the session up again"},

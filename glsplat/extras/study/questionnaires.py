@@ -11,16 +11,14 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from importlib.resources import as_file
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from glsplat.errors import FormatError
-from glsplat.extras.study.tables import Table, read_toml
+from glsplat.extras.study.tables import Table, is_number, read_toml
 
-Answer = float | str
-"""A number on a scale, an option of a choice, or free text."""
+Answer = float | str  # a number on a scale, an option of a choice, or free text
 
 Kind = Literal["points", "slider", "choice", "text"]
-_KINDS = ("points", "slider", "choice", "text")
 MAX_ANSWER = 4000  # characters of free text
 MAX_POINTS = 11  # that fit side by side
 
@@ -42,7 +40,7 @@ class Scale:
             return "" if good else f"expected words of at most {MAX_ANSWER} characters"
         if self.kind == "choice":
             return "" if isinstance(value, str) and value in self.labels else f"expected one of {self.labels}"
-        if isinstance(value, bool) or not isinstance(value, int | float) or not self.low <= value <= self.high:
+        if not is_number(value) or not self.low <= value <= self.high:
             return f"expected a number from {self.low:g} to {self.high:g}"
         steps = (value - self.low) / self.step
         return "" if abs(steps - round(steps)) < 1e-9 else f"expected {self.low:g} plus a multiple of {self.step:g}"
@@ -168,9 +166,9 @@ def read_questionnaire(path: str | Path) -> Questionnaire:
     if not items:
         raise table.error("item", "expected [[item]] once or more, found none")
     scores = tuple(_score(one, items) for one in table.tables("score"))
-    for name in (score.name for score in scores):
-        if [score.name for score in scores].count(name) > 1:
-            raise table.error("score", f"there are two scores called {name!r}; rename one")
+    names = [score.name for score in scores]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise table.error("score", f"there are two scores called {twice[0]!r}; rename one")
     return Questionnaire(
         table.name("name"),
         table.text("title", most=200),
@@ -184,7 +182,7 @@ def read_questionnaire(path: str | Path) -> Questionnaire:
 
 def _scale(table: Table, usual: Scale) -> Scale:
     table.known("kind", "from", "to", "step", "labels")
-    kind: Any = table.choice("kind", _KINDS, usual.kind)
+    kind: Any = table.choice("kind", get_args(Kind), usual.kind)
     same = kind == usual.kind
     labels = table.texts("labels") if "labels" in table else (usual.labels if same else ())
     if kind == "text":
@@ -219,8 +217,7 @@ def _score(table: Table, items: list[Item]) -> Score:
         if name not in numbers:
             raise table.error("items", f"there is no item {name!r:.60} that is answered by a number")
     weights: Any = table["weights"] if "weights" in table else []
-    good = isinstance(weights, list) and all(isinstance(w, int | float) and not isinstance(w, bool) for w in weights)
-    if not good or len(weights) not in (0, len(names)):
+    if not isinstance(weights, list) or not all(map(is_number, weights)) or len(weights) not in (0, len(names)):
         raise table.error("weights", f"expected {len(names)} numbers, one an item, not {weights!r:.60}")
     how: Any = table.choice("how", ("mean", "sum"), "mean")
     factor = table.number("factor", -1e6, 1e6, 1.0)

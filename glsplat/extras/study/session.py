@@ -13,8 +13,8 @@ from typing import Any
 
 from glsplat.errors import FormatError, ProtocolError
 from glsplat.extras.study.design import Study, Task
+from glsplat.extras.study.plan import Step
 from glsplat.extras.study.questionnaires import Answer, is_text
-from glsplat.extras.study.steps import Step
 
 MAX_NOTE = 10_000  # characters
 

@@ -96,7 +96,11 @@ class Store:
                     replay(event)
             self.torn, self.size = log.torn, log.whole
             self._sum, self._count, self._dirty = log.sum, log.count, log.torn > 0
-            self._file = _opened(self._path)
+            flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | getattr(os, "O_BINARY", 0)
+            try:
+                self._file = os.open(self._path, flags, 0o600)
+            except OSError as error:
+                raise _unwritable(self._path, error) from None
             self._stack.callback(os.close, self._file)
             self._write(b"")
             _sync_folder(self.folder)
@@ -126,13 +130,16 @@ class Store:
                 self._cut()
             if data:
                 self._dirty = True
-                _write_all(self._file, data, self.size)
+                os.lseek(self._file, self.size, os.SEEK_SET)
+                rest = memoryview(data)
+                while len(rest):
+                    rest = rest[os.write(self._file, rest) :]
                 os.fsync(self._file)
                 self.size, self._dirty = self.size + len(data), False
         except OSError as error:
             with suppress(OSError):  # retried before the next write and at the next opening
                 self._cut()
-            raise FormatError(f"{self._path}: cannot be written ({error.strerror or error})") from None
+            raise _unwritable(self._path, error) from None
 
     def _cut(self) -> None:
         os.ftruncate(self._file, self.size)
@@ -156,9 +163,7 @@ def remove(data: Path, participant: int) -> int:
         raise FormatError(f"{folder}: no data of this participant")
     with locked(folder / _LOCK):
         files = sum(path.is_file() for path in folder.rglob("*")) - 1  # the lock
-        gone = folder.with_name(
-            f".{folder.name}.deleted"
-        )  # gone at once for whoever lists, even if deleting is cut short
+        gone = folder.with_name(f".{folder.name}.deleted")  # hidden at once, even if deleting is cut short
         try:
             os.replace(folder, gone)
             shutil.rmtree(gone)
@@ -195,18 +200,8 @@ def _is_whole(line: bytes) -> bool:
         return False
 
 
-def _opened(path: Path) -> int:
-    try:
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | getattr(os, "O_BINARY", 0), 0o600)
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be written ({error.strerror or error})") from None
-
-
-def _write_all(file: int, data: bytes, at: int) -> None:
-    os.lseek(file, at, os.SEEK_SET)
-    rest = memoryview(data)
-    while len(rest):
-        rest = rest[os.write(file, rest) :]
+def _unwritable(path: Path, error: OSError) -> FormatError:
+    return FormatError(f"{path}: cannot be written ({error.strerror or error})")
 
 
 def _sync_folder(folder: Path) -> None:

@@ -41,6 +41,11 @@ class Table:
         """Return an error that names the key."""
         return FormatError(f"{self.where}: {key}: {what}")
 
+    def _checked(self, key: str, value: Any, good: object, what: str) -> Any:
+        if not good:
+            raise self.error(key, f"expected {what}, not {_shown(value)}")
+        return value
+
     def known(self, *keys: str) -> None:
         """Raise FormatError for any other key."""
         for key in self._values:
@@ -52,9 +57,8 @@ class Table:
     def text(self, key: str, default: str | None = None, most: int = 20_000) -> str:
         """Return a text of at most ``most`` characters; without a default it is required and not blank."""
         value = self._values.get(key, default)
-        if not isinstance(value, str) or len(value) > most or (default is None and not value.strip()):
-            raise self.error(key, f"expected a text of at most {most} characters, not {_shown(value)}")
-        return value
+        good = isinstance(value, str) and len(value) <= most and (default is not None or value.strip())
+        return str(self._checked(key, value, good, f"a text of at most {most} characters"))
 
     def name(self, key: str) -> str:
         """Return a name: lower-case letters, digits, - and _."""
@@ -62,46 +66,40 @@ class Table:
 
     def checked_name(self, key: str, value: Any) -> str:
         """Return ``value``, which has to be a name."""
-        if not isinstance(value, str) or not NAME.fullmatch(value):
-            raise self.error(key, f"expected 1 to 40 small letters, digits, - and _, not {_shown(value)}")
-        return value
+        good = isinstance(value, str) and NAME.fullmatch(value)
+        return str(self._checked(key, value, good, "1 to 40 small letters, digits, - and _"))
 
     def choice(self, key: str, options: Sequence[str], default: str | None = None) -> str:
         """Return one of ``options``."""
         value = self._values.get(key, default)
-        if value not in options or not isinstance(value, str):
-            raise self.error(key, f"expected one of {', '.join(filter(None, options))}, not {_shown(value)}")
-        return value
+        good = isinstance(value, str) and value in options
+        return str(self._checked(key, value, good, f"one of {', '.join(filter(None, options))}"))
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """Return a number from ``low`` to ``high``."""
-        value = self._values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise self.error(key, f"expected a number from {low:g} to {high:g}, not {_shown(value)}")
-        return value
+        value: Any = self._values.get(key, default)
+        good = is_number(value) and low <= value <= high
+        found: float = self._checked(key, value, good, f"a number from {low:g} to {high:g}")
+        return found
 
     def count(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number from ``low`` to ``high``."""
-        value = self._values.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self.error(key, f"expected a whole number from {low} to {high}, not {_shown(value)}")
-        return value
+        value: Any = self._values.get(key, default)
+        good = is_number(value) and isinstance(value, int) and low <= value <= high
+        return int(self._checked(key, value, good, f"a whole number from {low} to {high}"))
 
     def flag(self, key: str, default: bool) -> bool:
         """Return a boolean."""
         value = self._values.get(key, default)
-        if not isinstance(value, bool):
-            raise self.error(key, f"expected true or false, not {_shown(value)}")
-        return value
+        return bool(self._checked(key, value, isinstance(value, bool), "true or false"))
 
     def texts(self, key: str, least: int = 0, most: int = 200) -> tuple[str, ...]:
         """Return a list of distinct texts."""
         value = self._values.get(key, [])
         good = isinstance(value, list) and all(isinstance(one, str) and one.strip() for one in value)
-        if not good or not least <= len(value) <= most:
-            raise self.error(key, f"expected a list of {least} to {most} texts, not {_shown(value)}")
-        twice = [one for one in value if value.count(one) > 1]
-        if twice:
+        good = good and least <= len(value) <= most
+        self._checked(key, value, good, f"a list of {least} to {most} texts")
+        if twice := [one for one in value if value.count(one) > 1]:
             raise self.error(key, f"{twice[0]!r:.60} is there twice; leave one out")
         return tuple(value)
 
@@ -112,8 +110,7 @@ class Table:
     def tables(self, key: str) -> list[Table]:
         """Return the tables of a [[key]]."""
         value = self._values.get(key, [])
-        if not isinstance(value, list):
-            raise self.error(key, f"expected [[{key}]] once or more, not {_shown(value)}")
+        self._checked(key, value, isinstance(value, list), f"[[{key}]] once or more")
         return [Table(f"{self.where}: {key} {number}", one) for number, one in enumerate(value, 1)]
 
 
@@ -127,6 +124,11 @@ def read_toml(path: str | Path) -> Table:
         return Table(str(path), tomllib.loads(data.decode()))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FormatError(f"{path}: not TOML ({' '.join(str(error).split())})") from None
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value is a number and no boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _shown(value: Any) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.learned.frames import RATE_HZ, yaw_of
+from glsplat.extras.learned.network import RATE_HZ, yaw_of
 from glsplat.extras.motions.derive import truth_from_motion
 from glsplat.motion.motion import Motion
 from glsplat.rotations import matrix_quaternions, quaternion_product, quaternion_vectors, rotation_matrices
@@ -71,20 +71,13 @@ def stances_of(motion: Motion, skeleton: Skeleton) -> list[Stance]:
         c, s = np.cos(yaw), np.sin(yaw)
         back = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
         local = (at[i] - at[i, PELVIS] * [1, 0, 1]) @ back.T
-        yaws = [np.arctan2(*(local[FEET[k]] - local[ANKLES[k]])[[0, 2]]) - rest[k] for k in (0, 1)]
+        yaws = [float(np.arctan2(*(local[FEET[k]] - local[ANKLES[k]])[[0, 2]]) - rest[k]) for k in (0, 1)]
         knees = [local[KNEES[k]] - 0.5 * (local[HIPS[k]] + local[ANKLES[k]]) for k in (0, 1)]
         chest = local[SPINE3] - local[PELVIS]
-        balls = [(float(local[f, 0]), body.sole, float(local[f, 2])) for f in FEET]
-        left, right = [(float(k[0]), float(k[1]), float(k[2])) for k in knees]
-        out.append(
-            Stance(
-                float(local[PELVIS, 1]),
-                (balls[0], balls[1]),
-                (float(yaws[0]), float(yaws[1])),
-                (left, right),
-                (float(chest[0]), float(chest[1]), float(chest[2])),
-            )
-        )
+        balls = local[list(FEET)] * [1, 0, 1] + [0, body.sole, 0]
+        (one, other), (left, right) = map(_vec, balls), map(_vec, knees)
+        height = float(local[PELVIS, 1])
+        out.append(Stance(height, (one, other), (yaws[0], yaws[1]), (left, right), _vec(chest)))
     return out
 
 
@@ -141,13 +134,18 @@ def _legs(body: Body, stance: Stance, place: Array, pelvis: Array) -> dict[int, 
             x, z = place[i, 0] + hip[0] - ankle[0], place[i, 2] + hip[2] - ankle[2]
             reach = max((REACH * leg.length) ** 2 - x * x - z * z, 0.0) ** 0.5
             place[i, 1] = min(place[i, 1], reach + ankle[1] - hip[1])
-        at: Vec = (float(place[i, 0]), float(place[i, 1]), float(place[i, 2]))
+        at = _vec(place[i])
         for side, (leg, foot, hip) in enumerate(zip(legs, feet, hips, strict=True)):
             thigh, knee, flat = leg.solve(foot, add(at, hip), turn, 0.0, stance.knees[side])
             out[HIPS[side]].append(inverse_mul(turn, thigh))
             out[KNEES[side]].append(knee)
             out[ANKLES[side]].append(inverse_mul(mul(thigh, knee), flat))
     return {joint: np.array(quats) for joint, quats in out.items()}
+
+
+def _vec(values: Array) -> Vec:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _slowly(values: Array, seconds: float) -> Array:

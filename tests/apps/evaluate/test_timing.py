@@ -27,7 +27,7 @@ def words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(measure, "_network", lambda kind: Pixels())
     monkeypatch.setattr(plots, "png_of", lambda figure: b"\x89PNG")
     monkeypatch.setattr(timing, "Lpips", lambda kind: Pixels())
-    monkeypatch.setattr("apps.evaluate.ready.Lpips", lambda kind: None)
+    monkeypatch.setattr("apps.evaluate.command.Lpips", lambda kind: None)
     monkeypatch.setattr(
         "apps.evaluate.command.run_tasks", lambda tasks, jobs, show: [work(task, lambda *said: None) for task in tasks]
     )

@@ -20,8 +20,8 @@ from apps.preview.feed import Feed
 from apps.preview.headset_feed import FeedShow
 from glsplat.errors import ContextError
 from glsplat.extras.openxr import placing
-from glsplat.extras.openxr.cameras import camera_of
 from glsplat.extras.openxr.openxr.runtime import OpenXrRuntime
+from glsplat.extras.openxr.placing import camera_of
 from glsplat.extras.openxr.session import Session
 from glsplat.extras.openxr.wearer import Wearer
 from glsplat.gl.context import Context, create_context

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from glsplat.extras.study.design import read_study
-from glsplat.extras.study.plan import checked_plan
-from glsplat.extras.study.steps import steps_of
+from glsplat.extras.study.plan import checked_plan, steps_of
 from tests.browser.opened import Opened
 from tests.browser.vr import enter, hands, pose, steer
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.mesh_truth import MeshTruth
-from glsplat.extras.evaluate.light import CaptureLight, shade_of
+from glsplat.extras.evaluate.turntable import CaptureLight, shade_of
 from glsplat.gl.context import Context
 from glsplat.meshes import MeshPart, RiggedMesh, standing, vertex_normals
 from glsplat.pictures import to_linear, to_srgb

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate import quiet
-from glsplat.extras.evaluate.quiet import MAX_SHARE, Quiet, Watch, until_quiet
+from glsplat.extras.evaluate import frames
+from glsplat.extras.evaluate.frames import MAX_SHARE, Quiet, Watch, until_quiet
 from tools.docs.precision import check_quiet
 
 BUSY = "while True: pass"
@@ -36,12 +36,12 @@ def test_the_gate_refuses_beside_two_busy_loops() -> None:
 
 def test_own_work_and_children_are_not_others(monkeypatch: pytest.MonkeyPatch) -> None:
     readings = iter([(100.0, 40.0, 10.0), (110.0, 46.0, 15.9)])  # of all cores: in all, busy, own
-    monkeypatch.setattr(quiet, "_seconds", lambda: next(readings))
+    monkeypatch.setattr(frames, "_seconds", lambda: next(readings))
     assert Watch().read(0.01) == Quiet(0.01, 0.01)
 
 
 def test_a_noisy_measurement_is_repeated_once_at_twice_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(quiet, "_seconds", lambda: None)
+    monkeypatch.setattr(frames, "_seconds", lambda: None)
     asked: list[int] = []
     lines: list[str] = []
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from glsplat.data import default_avatar
+from glsplat.extras.evaluate.costs import costs
 from glsplat.extras.evaluate.frames import WARM_UP
-from glsplat.extras.evaluate.sections.costs import costs
-from glsplat.extras.evaluate.selftest.speed import resampled
+from glsplat.extras.evaluate.selftest.driver import resampled
 from glsplat.gl.context import Context
 from tests.net.legacy.test_legacy import thinned
 from tests.scene.people import boxes

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.formats.sog.images import encoded
+from glsplat.extras.formats.sog.package import encoded
 
 
 def webp(pixels: Any, width: int = 2, height: int = 2) -> bytes:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.morton import morton_order
+from glsplat.extras.formats.packed import morton_order
 from glsplat.formats import load, losses, recognise, save
 from glsplat.splats import Splats
 from tests.formats.scenes import FIELDS, assert_equal, awkward_splats, load_ply, random_splats

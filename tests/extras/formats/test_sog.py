@@ -21,8 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.sog.codebook import codebook
-from glsplat.extras.formats.sog.palette import palette, palette_size
+from glsplat.extras.formats.sog.quantise import codebook, palette, palette_size
 from glsplat.extras.formats.sog.sog import save_sog
 from glsplat.extras.formats.sog.write import stored_order
 from glsplat.formats import load, losses, recognise, save

@@ -13,8 +13,7 @@ from glsplat.extras.evaluate.tracking_score import TrackingScore, mean_score, sc
 from glsplat.extras.learned import network as module
 from glsplat.extras.learned.network import PoseNetwork, embedded_network
 from glsplat.extras.learned.solver import LearnedSolver
-from glsplat.extras.motions.batch import forward_all
-from glsplat.extras.motions.derive import Disturbance, derive, disturb, truth_from_motion
+from glsplat.extras.motions.derive import Disturbance, derive, disturb, forward_all, truth_from_motion
 from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking import Tracker

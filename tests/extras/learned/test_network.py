@@ -12,16 +12,25 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.learned import network as module
-from glsplat.extras.learned.frames import INPUTS, OUTPUTS, RATE_HZ, NetworkOutput, TrackedFrames
 from glsplat.extras.learned.hints import Hints
-from glsplat.extras.learned.network import ARRAYS, PoseNetwork, embedded_network, load_network, save_network
-from glsplat.extras.learned.velocity import SteadyPosition
-from glsplat.extras.motions.batch import forward_all, resample
-from glsplat.extras.motions.derive import derive, truth_from_motion
-from glsplat.extras.training.clips import clips_of, mirrored, targets_of, unit_of_skeleton
-from glsplat.extras.training.disturbed import disturbed
+from glsplat.extras.learned.network import (
+    ARRAYS,
+    INPUTS,
+    OUTPUTS,
+    RATE_HZ,
+    NetworkOutput,
+    PoseNetwork,
+    TrackedFrames,
+    embedded_network,
+    load_network,
+    save_network,
+)
+from glsplat.extras.learned.posture import SteadyPosition
+from glsplat.extras.motions.derive import derive, forward_all, resample, truth_from_motion
+from glsplat.extras.training.clips import clips_of, disturbed, mirrored, targets_of, unit_of_skeleton
 from glsplat.extras.training.fit import (
     MADE,
+    Learner,
     Lesson,
     TrainingConfig,
     _seen_from,
@@ -31,8 +40,8 @@ from glsplat.extras.training.fit import (
     lessons_of,
     loss,
     shares_of,
+    started,
 )
-from glsplat.extras.training.recurrent import Learner, started
 from glsplat.extras.training.standing import TALL, stances_of, stood
 from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton

@@ -7,8 +7,7 @@ import pytest
 
 from glsplat.camera import head_matrix
 from glsplat.errors import PoseError
-from glsplat.extras.evaluate.baseline import baseline
-from glsplat.extras.evaluate.tracking_score import mean_score, score
+from glsplat.extras.evaluate.tracking_score import baseline, mean_score, score
 from glsplat.extras.motions.derive import Disturbance, TrueMotion, derive, disturb, truth_from_motion
 from glsplat.formats.motion_files import load_motion
 from glsplat.skinning.skeleton import Skeleton

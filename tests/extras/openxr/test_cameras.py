@@ -9,9 +9,15 @@ import pytest
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
-from glsplat.extras.openxr.cameras import camera_of, intrinsics, matrix_of
-from glsplat.extras.openxr.placing import heading, placing
-from glsplat.extras.openxr.room import plane_from_pixel, surroundings
+from glsplat.extras.openxr.placing import (
+    camera_of,
+    heading,
+    intrinsics,
+    matrix_of,
+    placing,
+    plane_from_pixel,
+    surroundings,
+)
 from glsplat.extras.openxr.runtime import Fov, ViewPose
 
 

@@ -9,10 +9,18 @@ from math import cos, nan, sin
 import numpy as np
 import pytest
 
-from glsplat.extras.openxr.face import HTC_EYES, HTC_LIPS, META, expression_of_htc, expression_of_meta
 from glsplat.extras.openxr.runtime import Devices, FrameTiming
-from glsplat.extras.openxr.samples import BODY_INDEX, pinched, sample_of
-from glsplat.extras.openxr.wearer import Wearer
+from glsplat.extras.openxr.wearer import (
+    BODY_INDEX,
+    HTC_EYES,
+    HTC_LIPS,
+    META,
+    Wearer,
+    expression_of_htc,
+    expression_of_meta,
+    pinched,
+    sample_of,
+)
 from glsplat.skinning.expression import ARKIT
 from glsplat.tracking.sample import BODY_JOINTS, Sample, wrist_from_grip
 from tests.extras.openxr.fake import GRIPS, HEAD, PERIOD, FakeRuntime

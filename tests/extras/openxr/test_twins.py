@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.openxr.cameras import matrix_of, rigid_inverse
-from glsplat.extras.openxr.placing import VIEWS, placing, standing
+from glsplat.extras.openxr.placing import VIEWS, matrix_of, placing, rigid_inverse, standing
 from glsplat.rotations import FLIP_X
 from tests.twins import Twin, both_sides
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glsplat.extras.rigs.bound import bound_of
+from glsplat.extras.rigs.gltf import bound_of
 from glsplat.formats.gltf.container import parse
 from glsplat.formats.gltf.nodes import graph_of
 

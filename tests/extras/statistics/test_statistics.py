@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from glsplat.extras.statistics.bootstrap import interval_of_mean
-from glsplat.extras.statistics.holm import holm
-from glsplat.extras.statistics.ranks import average_ranks, rank_biserial, wilcoxon
+from glsplat.extras.statistics.nonparametric import average_ranks, holm, interval_of_mean, rank_biserial, wilcoxon
 
 
 def test_intervals_are_scipys(rng: np.random.Generator) -> None:

@@ -10,9 +10,8 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.study.export import export
-from glsplat.extras.study.plan import label
+from glsplat.extras.study.plan import label, steps_of
 from glsplat.extras.study.session import Event, Session
-from glsplat.extras.study.steps import steps_of
 from glsplat.extras.study.store import FRAMES, Store
 from tests.extras.study.designs import planned
 from tests.extras.study.test_session import Walk

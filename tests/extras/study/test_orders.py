@@ -13,8 +13,18 @@ import pytest
 from glsplat.errors import FormatError
 from glsplat.extras.study import plan as plan_module
 from glsplat.extras.study.design import read_study
-from glsplat.extras.study.orders import cycle, groups_of, orders_of, williams
-from glsplat.extras.study.plan import PLAN, checked_plan, label, make_plan, read_plan, write_plan
+from glsplat.extras.study.plan import (
+    PLAN,
+    checked_plan,
+    cycle,
+    groups_of,
+    label,
+    make_plan,
+    orders_of,
+    read_plan,
+    williams,
+    write_plan,
+)
 from tests.extras.study.designs import SMALL, planned, write
 
 

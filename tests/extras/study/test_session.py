@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ProtocolError
+from glsplat.extras.study.plan import steps_of
 from glsplat.extras.study.session import Event, Session
-from glsplat.extras.study.steps import steps_of
 from tests.extras.study.designs import planned
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.metrics.flip import flip
+from glsplat.extras.evaluate.metrics import flip
 from glsplat.extras.watermark import detect as detecting
 from glsplat.extras.watermark.detect import ALARM, WINDOW, detect
 from glsplat.extras.watermark.mark import Watermark

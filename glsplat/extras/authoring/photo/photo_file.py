@@ -13,7 +13,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.formats.png import clean_png
+from glsplat.extras.formats.texture import clean_png
 from glsplat.io.files import open_regular
 
 from .exif import Exif, read_exif

@@ -36,7 +36,7 @@ from glsplat.extras.browser.web_format.planes import (
     weight_steps,
 )
 from glsplat.extras.browser.web_format.read import read_header
-from glsplat.extras.formats.morton import morton_order
+from glsplat.extras.formats.packed import morton_order
 from glsplat.light.surface import Surface
 from glsplat.net.backend import WebFile
 from glsplat.skinning.shapes import Shapes

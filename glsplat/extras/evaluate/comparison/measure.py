@@ -5,31 +5,27 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F64
-from glsplat.extras.evaluate.comparison.control import CONTROLS
-from glsplat.extras.evaluate.comparison.parts import PARTS
-from glsplat.extras.evaluate.comparison.protocol import EXTRA_MEASURES, Protocol
-from glsplat.extras.evaluate.comparison.stage import StageTruth
-from glsplat.extras.evaluate.metrics.flip import flip
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.metrics.pixels import WHOLE, decibel
-from glsplat.extras.evaluate.metrics.structure import inner_mean, ssim_map
+from glsplat.extras.evaluate.comparison.protocol import CONTROLS, EXTRA_MEASURES, Protocol
+from glsplat.extras.evaluate.comparison.stage import PARTS, StageTruth
+from glsplat.extras.evaluate.lpips import Lpips
+from glsplat.extras.evaluate.metrics import WHOLE, decibel, flip, inner_mean, ssim_map
 
-MEASURES = ("l1", "lpips", "psnr", "ssim")
-"""The paper's measures, over the whole square."""
+MEASURES = ("l1", "lpips", "psnr", "ssim")  # the paper's measures, over the whole square
 BOXED = ("box_l1", "box_psnr", "box_ssim")
 """Measures over the box around the participant, which leave out most of the black background."""
-PARTED = ("l1", "psnr", "ssim")
-"""Measures by body part, over the pixels nearest to it."""
+PARTED = ("l1", "psnr", "ssim")  # measures by body part, over the pixels nearest to it
 OVERLAP = "overlap"  # of the silhouettes: the smaller coverage over the larger, summed over the picture
 
 _BESIDE = 2  # pixels around the figure in its box, for blur
 _FEWEST = 30  # pixels of a part that is measured
+
+_network = cache(Lpips)  # reads the weights once
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +40,7 @@ class Reference:
     @classmethod
     def of(cls, truth: StageTruth, protocol: Protocol) -> Reference:
         """Return the reference of a truth."""
-        rgb, networks = _rgb(truth.pictures), _networks(protocol)
+        rgb, networks = _rgb(truth.pictures), _networks(protocol.extra_measures)
         features = tuple({name: network.features(one) for name, network in networks.items()} for one in rgb)
         return cls(truth, rgb, tuple(_box(one) for one in truth.pictures), features)
 
@@ -56,7 +52,7 @@ class Scores:
         self._extra = tuple(name for name in EXTRA_MEASURES if name in protocol.extra_measures)
         shape = (moments, len(protocol.views), 2)
         names = (*MEASURES, *BOXED, OVERLAP, *self._extra)
-        self._networks = _networks(protocol)
+        self._networks = _networks(protocol.extra_measures)
         self._values = {control: {name: np.full(shape, np.nan) for name in names} for control in CONTROLS}
         self._parts = {
             control: {part: {name: np.full(shape, np.nan) for name in PARTED} for part in PARTS} for control in CONTROLS
@@ -78,7 +74,8 @@ class Scores:
                 values[name][at] = network.distance(network.features(picture), reference.features[eye][name])
             if "flip" in self._extra:
                 values["flip"][at] = flip(picture, wanted)
-            values[OVERLAP][at] = _overlap(pictures[eye, ..., 3], reference.truth.pictures[eye, ..., 3])
+            covered = np.stack([pictures[eye, ..., 3], reference.truth.pictures[eye, ..., 3]]).astype(np.float64)
+            values[OVERLAP][at] = covered.min(axis=0).sum() / max(covered.max(axis=0).sum(), 1.0)
             for index, part in enumerate(PARTS):
                 mine = reference.truth.regions[eye] == index
                 if mine.sum() >= _FEWEST:
@@ -88,32 +85,12 @@ class Scores:
 
     def to_json(self, digits: int) -> dict[str, Any]:
         """Return values and parts, rounded to ``digits``; null where a part is not visible."""
-        values = {
-            control: {name: _listed(array, digits) for name, array in by_name.items()}
-            for control, by_name in self._values.items()
-        }
-        parts = {
-            control: {
-                part: {name: _listed(array, digits) for name, array in by_name.items()}
-                for part, by_name in by_part.items()
-            }
-            for control, by_part in self._parts.items()
-        }
-        return {"values": values, "parts": parts}
+        return {"values": _listed(self._values, digits), "parts": _listed(self._parts, digits)}
 
 
-def _networks(protocol: Protocol) -> dict[str, Lpips]:
+def _networks(extra_measures: tuple[str, ...]) -> dict[str, Lpips]:
     """Return the network of each LPIPS measure, by the measure's name."""
-    kinds: dict[str, Literal["alex", "vgg"]] = {"lpips": "alex"}
-    if "lpips-vgg" in protocol.extra_measures:
-        kinds["lpips-vgg"] = "vgg"
-    return {name: _network(kind) for name, kind in kinds.items()}
-
-
-@cache
-def _network(kind: Literal["alex", "vgg"]) -> Lpips:
-    """Return the network, whose weights are read once."""
-    return Lpips(kind)
+    return {"lpips": _network("alex")} | ({"lpips-vgg": _network("vgg")} if "lpips-vgg" in extra_measures else {})
 
 
 def _three(apart: F64, similar: float) -> dict[str, float]:
@@ -136,10 +113,10 @@ def _box(picture: NDArray[np.uint8]) -> tuple[slice, slice]:
     )
 
 
-def _overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
-    return float(np.minimum(one, other).sum(dtype=np.float64) / max(np.maximum(one, other).sum(dtype=np.float64), 1.0))
-
-
-def _listed(array: F64, digits: int) -> list[Any]:
-    """Return nested lists of an array [M, V, 2]; None for NaN."""
-    return [[[None if x != x else round(float(x), digits) for x in eyes] for eyes in views] for views in array]
+def _listed(values: Any, digits: int) -> Any:
+    """Return arrays in nested dictionaries as nested lists of rounded numbers; None for NaN."""
+    if isinstance(values, dict):
+        return {key: _listed(value, digits) for key, value in values.items()}
+    if isinstance(values, np.ndarray):
+        return [_listed(value, digits) for value in values]
+    return None if values != values else round(float(values), digits)

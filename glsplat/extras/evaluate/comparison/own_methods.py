@@ -14,10 +14,19 @@ from glsplat.extras.authoring.reconstruct.video import FRAMES, from_pictures, fr
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.extras.authoring.video.frames import FramePicture
-from glsplat.extras.evaluate.avatar_poses import pose_of
+from glsplat.extras.evaluate.avatar_score import pose_of
 from glsplat.extras.evaluate.comparison.participant import Participant
 from glsplat.extras.evaluate.turntable import turntable
 from glsplat.meshes import RiggedMesh
+
+_STEPS, _SLOW = 450, 60  # steps of fitting, with numba and without; the command takes 900 and 450
+_QUICK_FRAMES = 8
+
+# a typical photograph, for participants without a capture note
+_LOOK = (0.0, 1.3, 3.2), (0.0, 0.88, 0.0)
+_FOV = 40.0  # degrees, vertical
+_A_POSE = {"left_shoulder": (0.0, 0.0, -0.7), "left_hip": (0.0, 0.0, 0.07)}
+_LIGHT = {"direction_to": (0.45, 0.75, 0.75), "colour": (0.62, 0.60, 0.57)}
 
 
 @dataclass(frozen=True)
@@ -83,13 +92,3 @@ class Scan(_Own):
         if self.quick:
             return make_avatar(mesh, 10_000, self.seed, SamplerConfig(probe=256))
         return fitted_to_mesh(make_avatar(mesh, 40_000, self.seed), mesh, self.seed, _STEPS if available() else _SLOW)
-
-
-_STEPS, _SLOW = 450, 60  # steps of fitting, with numba and without; the command takes 900 and 450
-_QUICK_FRAMES = 8
-
-# a typical photograph, for participants without a capture note
-_LOOK = (0.0, 1.3, 3.2), (0.0, 0.88, 0.0)
-_FOV = 40.0  # degrees, vertical
-_A_POSE = {"left_shoulder": (0.0, 0.0, -0.7), "left_hip": (0.0, 0.0, 0.07)}
-_LIGHT = {"direction_to": (0.45, 0.75, 0.75), "colour": (0.62, 0.60, 0.57)}

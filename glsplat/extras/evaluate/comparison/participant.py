@@ -29,8 +29,7 @@ class Participant:
 
     name: str
     folder: Path
-    height: float | None = None
-    """Metres; None if unknown."""
+    height: float | None = None  # metres; None if unknown
 
     @property
     def mesh_file(self) -> Path:

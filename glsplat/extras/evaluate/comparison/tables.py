@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from glsplat.arrays import F64
-from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import BOXED, MEASURES, OVERLAP, PARTED
-from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.protocol import CONTROLS
+from glsplat.extras.evaluate.comparison.stage import PARTS
 from glsplat.extras.evaluate.comparison.work import Result
 from glsplat.extras.evaluate.statistics import compare
 
@@ -78,19 +78,23 @@ def by_participant(results: Sequence[Result], methods: Sequence[str]) -> list[di
     return rows
 
 
-def by_view(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Return a row per method, control and visible side of the person."""
-    return _along(results, methods, "view", _measures(results))
+def along(results: Sequence[Result], methods: Sequence[str], key: str) -> list[dict[str, Any]]:
+    """Return a row per method, control, and visible side ("view"), pose ("moment") or body part ("part") of the person.
 
-
-def by_moment(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Return a row per method, control and moment (pose)."""
-    return _along(results, methods, "moment", _measures(results))
-
-
-def by_part(results: Sequence[Result], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Return a row per method, control and body part, with means over the pictures that show it."""
-    return _along(results, methods, "part", PARTED)
+    Means of a body part are over the pictures that show it.
+    """
+    rows = []
+    for control in CONTROLS:
+        measures = PARTED if key == "part" else _measures(results)
+        by_measure = {measure: grouped(results, methods, control, measure, key) for measure in measures}
+        for method in methods:
+            for label, values in next(iter(by_measure.values()), {}).items():
+                if method in values:
+                    row: dict[str, Any] = {"method": method, "control": control, key: label}
+                    for measure, groups in by_measure.items():
+                        row[measure] = _spread(list(groups[label][method].values()))
+                    rows.append(row)
+    return rows
 
 
 def grouped(results: Sequence[Result], methods: Sequence[str], control: str, measure: str, key: str) -> Groups:
@@ -107,22 +111,6 @@ def grouped(results: Sequence[Result], methods: Sequence[str], control: str, mea
 def failures(results: Sequence[Result]) -> list[dict[str, str]]:
     """Return participant, method and reason of each failure."""
     return [{"participant": r.participant, "method": r.method, "why": r.failed} for r in results if r.failed]
-
-
-def _along(
-    results: Sequence[Result], methods: Sequence[str], key: str, measures: Sequence[str]
-) -> list[dict[str, Any]]:
-    rows = []
-    for control in CONTROLS:
-        by_measure = {measure: grouped(results, methods, control, measure, key) for measure in measures}
-        for method in methods:
-            for label, values in next(iter(by_measure.values()), {}).items():
-                if method in values:
-                    row: dict[str, Any] = {"method": method, "control": control, key: label}
-                    for measure, groups in by_measure.items():
-                        row[measure] = _spread(list(groups[label][method].values()))
-                    rows.append(row)
-    return rows
 
 
 def _pieces(one: Result, control: str, measure: str, key: str) -> list[tuple[str, F64]]:

@@ -30,8 +30,7 @@ from glsplat.scene import Item, Scene
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
-LARGEST = 8192
-"""Largest side of a target, in pixels, of every driver of OpenGL 4."""
+LARGEST = 8192  # largest side of a target, in pixels, of every driver of OpenGL 4
 
 MILLION = 10**6
 

@@ -52,19 +52,9 @@ def judge(cases: Sequence[Case], context: Context) -> list[dict[str, Any]]:
             outcome = case.check(context)
         except Exception as error:
             outcome = Outcome(False, None, seen=f"{type(error).__name__}: {error}")
-        rows.append(
-            {
-                "group": case.group,
-                "case": case.name,
-                "input": case.input,
-                "behaviour": case.behaviour,
-                "seen": outcome.seen,
-                "error": outcome.error,
-                "unit": outcome.unit,
-                "splats": outcome.splats,
-                "verdict": "holds" if outcome.held else "failed",
-            }
-        )
+        stated = {"group": case.group, "case": case.name, "input": case.input, "behaviour": case.behaviour}
+        found = {name: getattr(outcome, name) for name in ("seen", "error", "unit", "splats")}
+        rows.append(stated | found | {"verdict": "holds" if outcome.held else "failed"})
     return rows
 
 

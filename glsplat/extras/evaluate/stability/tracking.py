@@ -28,6 +28,8 @@ Vec = tuple[float, float, float]
 Samples = Callable[["_User"], list[Sample]]
 Judge = Callable[["_Run", "_User"], Outcome]
 
+_Row = tuple[str, str, str, Samples, Judge]
+
 
 @dataclass(frozen=True)
 class _User:
@@ -92,9 +94,6 @@ def tracking_cases() -> list[Case]:
     return [
         Case("tracking", name, given, stated, _tracked(samples, judge)) for name, given, stated, samples, judge in rows
     ]
-
-
-_Row = tuple[str, str, str, Samples, Judge]
 
 
 def _arms() -> list[_Row]:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 
-BANDS = {1: 3, 2: 8, 3: 15}
-"""Coefficients beyond the first of the spherical harmonics of a degree."""
+BANDS = {1: 3, 2: 8, 3: 15}  # coefficients beyond the first of the spherical harmonics of a degree
 
 MOST_SPLATS = 1 << 25
 """Most splats in a file, above any known one; images of more could decode from a few bytes."""
@@ -24,6 +23,9 @@ Vec3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 Book = Annotated[list[float | None], msgspec.Meta(min_length=1, max_length=256)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1, max_length=8)]
 Pair = Annotated[list[str], msgspec.Meta(min_length=2, max_length=8)]
+
+_Tables = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float32] | None]
+"""``Meta.scales``, ``colours``, ``opacities`` and ``rest``."""
 
 
 class _Means(msgspec.Struct):
@@ -95,49 +97,11 @@ def parse(text: bytes) -> Meta:
     if not 0 <= count <= MOST_SPLATS:
         raise FormatError(f"meta.json claims {count} splats; a SOG has {MOST_SPLATS} at most")
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values are handled later
-        return (_version_2 if file.version == 2 else _version_1)(file, count)
-
-
-def _version_2(file: _File, count: int) -> Meta:
-    scales = np.exp(_book(file.scales.codebook, "scales"))
-    colours = _book(file.sh0.codebook, "sh0")
-    rest = None
-    bands = file.shN.bands if file.shN else None
-    if file.shN and bands != 0:
-        if bands not in (None, *BANDS):
-            raise FormatError(f"shN.bands of meta.json is 1, 2 or 3, not {bands}")
-        book = _book(file.shN.codebook, "shN")
-        rest = np.where(np.isnan(book), 0, book).astype(np.float32)  # a missing coefficient is 0
-    return _meta(
-        file, count, np.tile(scales, (3, 1)), np.tile(colours, (3, 1)), _BITS8, rest, bands,
-        antialias=file.antialias is True or file.model == "antialiased",
-    )  # fmt: skip
-
-
-def _version_1(file: _File, count: int) -> Meta:
-    scales = np.exp(_ranges(file.scales, 3, "scales"))
-    colours = _ranges(file.sh0, 4, "sh0")
-    rest = None
-    if file.shN:
-        if file.shN.mins is None or file.shN.maxs is None:
-            raise FormatError("shN of meta.json needs mins and maxs in version 1")
-        rest = _between(file.shN.mins, file.shN.maxs, _BITS8).astype(np.float32)
-    opacities = 1 / (1 + np.exp(-colours[3]))
-    return _meta(file, count, scales, colours[:3], opacities, rest, None, antialias=file.antialias is True)
-
-
-def _meta(
-    file: _File,
-    count: int,
-    scales: NDArray[np.float64],
-    colours: NDArray[np.float64],
-    opacities: NDArray[np.float64],
-    rest: NDArray[np.float32] | None,
-    bands: int | None,
-    *,
-    antialias: bool,
-) -> Meta:
-    logs = np.stack([_between(low, high, _BITS16) for low, high in zip(file.means.mins, file.means.maxs, strict=True)])
+        scales, colours, opacities, rest = (_version_2 if file.version == 2 else _version_1)(file)
+        pairs = zip(file.means.mins, file.means.maxs, strict=True)
+        logs = np.stack([_between(low, high, _BITS16) for low, high in pairs])
+        found = (np.sign(logs) * np.expm1(np.abs(logs)), scales, colours, opacities)
+        tables = [table.astype(np.float32) for table in found]
     files = {
         "means_l": file.means.files[0],
         "means_u": file.means.files[1],
@@ -145,22 +109,36 @@ def _meta(
         "scales": file.scales.files[0],
         "sh0": file.sh0.files[0],
     }
-    palette = 0
+    bands, palette = None, 0
     if file.shN and rest is not None:
         files |= {"centroids": file.shN.files[0], "labels": file.shN.files[1]}
         palette = 65536 if file.shN.count is None else min(max(file.shN.count, 0), 65536)
-    return Meta(
-        count,
-        antialias,
-        (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32),
-        scales.astype(np.float32),
-        colours.astype(np.float32),
-        opacities.astype(np.float32),
-        rest,
-        bands,
-        palette,
-        files,
-    )
+        bands = file.shN.bands if file.version == 2 else None
+    antialias = file.antialias is True or (file.version == 2 and file.model == "antialiased")
+    return Meta(count, antialias, tables[0], tables[1], tables[2], tables[3], rest, bands, palette, files)
+
+
+def _version_2(file: _File) -> _Tables:
+    scales = np.exp(_book(file.scales.codebook, "scales"))
+    colours = _book(file.sh0.codebook, "sh0")
+    rest = None
+    if file.shN and file.shN.bands != 0:
+        if file.shN.bands not in (None, *BANDS):
+            raise FormatError(f"shN.bands of meta.json is 1, 2 or 3, not {file.shN.bands}")
+        book = _book(file.shN.codebook, "shN")
+        rest = np.where(np.isnan(book), 0, book).astype(np.float32)  # a missing coefficient is 0
+    return np.tile(scales, (3, 1)), np.tile(colours, (3, 1)), _BITS8, rest
+
+
+def _version_1(file: _File) -> _Tables:
+    scales = np.exp(_ranges(file.scales, 3, "scales"))
+    colours = _ranges(file.sh0, 4, "sh0")
+    rest = None
+    if file.shN:
+        if file.shN.mins is None or file.shN.maxs is None:
+            raise FormatError("shN of meta.json needs mins and maxs in version 1")
+        rest = _between(file.shN.mins, file.shN.maxs, _BITS8).astype(np.float32)
+    return scales, colours[:3], 1 / (1 + np.exp(-colours[3])), rest
 
 
 def _book(values: list[float | None] | None, what: str) -> NDArray[np.float64]:

@@ -1,4 +1,7 @@
-"""Files of a SOG: in a zip, read within limits and never unpacked to disk, or beside its meta.json."""
+"""Files of a SOG: in a zip, read within limits and never unpacked to disk, or beside its meta.json; and its images.
+
+Images have eight bits a channel, lossless; their size is checked before they are decoded.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,12 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.io.files import open_regular
@@ -19,29 +25,10 @@ _ENTRIES = 1000  # of the zip's directory; a SOG has 6 to 9
 _DIRECTORY = 1 << 18  # bytes of the zip's directory
 _END = struct.Struct("<4s4H2LH")  # end record: mark, disks, entries, size and offset of the directory, comment
 _COMMENT = 0xFFFF
-_BROKEN = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    OverflowError,
-    RuntimeError,
-    ValueError,
-)
+_BROKEN = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OverflowError, RuntimeError, ValueError)
 
-
-class Package(Protocol):
-    """The files of a SOG by their names in meta.json."""
-
-    def meta(self) -> bytes:
-        """Return the bytes of meta.json."""
-
-    def open(self, name: str) -> AbstractContextManager[tuple[BinaryIO, int]]:
-        """Open the file ``name``; return it and its claimed size in bytes."""
-
-    def size(self, names: Iterable[str]) -> int:
-        """Return the bytes on disk of meta.json and the files ``names``, or of all files."""
+_HEAD = 1 << 12  # bytes in which the size must be
+_CHUNKS = 16  # of a WebP, before its image
 
 
 class SogFolder:
@@ -136,6 +123,9 @@ class SogZip:
         return self._size
 
 
+Package = SogFolder | SogZip
+
+
 def is_zip(file: BinaryIO, size: int) -> bool:
     """Return whether an open file is a zip that holds a meta.json."""
     try:
@@ -176,3 +166,82 @@ def _fitting(size: int) -> int:
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+def decoded(package: Package, name: str, least: int, most: int) -> NDArray[np.uint8]:
+    """Decode RGBA [H, W, 4] of the image ``name``: lossless WebP, or PNG; without alpha it is 255.
+
+    Raises FormatError before decoding if it has fewer than ``least`` or more than ``most`` pixels, or more bytes than
+    its pixels can need.
+    """
+    import cv2  # not at the top, as it takes 0.1 s
+
+    from glsplat.extras.formats.texture import decoded_silently
+
+    with package.open(name) as (file, size):
+        head = file.read(_HEAD)
+        width, height = _size(head, name)
+        if not least <= width * height <= most:
+            raise FormatError(
+                f"{name:.60} has {width} x {height} pixels, but needs {least} or somewhat more"
+                if least < most
+                else f"{name:.60} needs {least} pixels, not {width} x {height}"
+            )
+        if size > 5 * width * height + (1 << 16):
+            raise FormatError(f"{name:.60} has {size} bytes, more than an image of {width} x {height} pixels can need")
+        data = head + file.read(max(size - len(head), 0))
+    image = decoded_silently(np.frombuffer(data, np.uint8))
+    if image is None or image.dtype != np.uint8 or image.shape not in ((height, width, 3), (height, width, 4)):
+        raise FormatError(f"{name:.60} cannot be decoded (damaged?)")
+    turned = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGBA)
+    return cast("NDArray[np.uint8]", turned)
+
+
+def encoded(image: NDArray[np.uint8]) -> bytes:
+    """Encode RGBA [H, W, 4] as lossless WebP; OpenCV 4.13 and newer keep colours with alpha 0."""
+    import cv2
+
+    # older versions have lossless as a quality above 100, and set colours with alpha 0 to black
+    mode = getattr(cv2, "IMWRITE_WEBP_LOSSLESS_MODE", None)
+    how = [cv2.IMWRITE_WEBP_QUALITY, 101] if mode is None else [mode, cv2.IMWRITE_WEBP_LOSSLESS_PRESERVE_COLOR]
+    done, data = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA), how)
+    if not done:
+        raise FormatError(f"an image of {image.shape[1]} x {image.shape[0]} pixels cannot be encoded")
+    return data.tobytes()
+
+
+def _size(head: bytes, name: str) -> tuple[int, int]:
+    """Return width and height from the header."""
+    try:
+        if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+            return _webp_size(head, name)
+        if head.startswith(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"):
+            width, height, depth, kind = struct.unpack_from(">IIBB", head, 16)
+            if depth != 8 or kind not in (2, 6):
+                raise FormatError(f"{name:.60} needs 8 bits of RGB or RGBA, not {depth} bits of PNG type {kind}")
+            return width, height
+    except struct.error:
+        pass
+    raise FormatError(f"{name:.60} needs to be a WebP image without loss (or a PNG), but is none")
+
+
+def _webp_size(head: bytes, name: str) -> tuple[int, int]:
+    at = 12
+    canvas = None
+    for _ in range(_CHUNKS):
+        tag, length = struct.unpack_from("<4sI", head, at)
+        if tag == b"VP8L":
+            mark, bits = struct.unpack_from("<BI", head, at + 8)
+            size = 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+            if mark != 0x2F or canvas not in (None, size):
+                break
+            return size
+        if tag == b"VP8X":
+            flags, wide, low, high = struct.unpack_from("<I3s2sB", head, at + 8)
+            canvas = 1 + int.from_bytes(wide, "little"), 1 + (int.from_bytes(low, "little") | high << 16)
+            if flags & 2:
+                raise FormatError(f"{name:.60} is an animation")
+        if tag in (b"VP8 ", b"ALPH"):
+            raise FormatError(f"{name:.60} is WebP with loss, so that its values are wrong; write it without")
+        at += 8 + length + length % 2
+    raise FormatError(f"{name:.60} needs to be a WebP image without loss, but its header is damaged")

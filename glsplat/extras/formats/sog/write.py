@@ -1,30 +1,112 @@
-"""Write SOG version 2: splats along a Morton curve, as the pixels of images."""
+"""Write SOG version 2: splats along a Morton curve, as the pixels of images, as one file or as a folder."""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import math
-from collections.abc import Iterator
+import os
+import re
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.formats.morton import morton_order
-from glsplat.extras.formats.sog.codebook import codebook
-from glsplat.extras.formats.sog.images import encoded
-from glsplat.extras.formats.sog.package import META
-from glsplat.extras.formats.sog.palette import palette, palette_size
+from glsplat.errors import FormatError
+from glsplat.extras.formats.packed import morton_order, smallest_three
+from glsplat.extras.formats.sog.package import META, encoded
+from glsplat.extras.formats.sog.quantise import codebook, palette, palette_size
+from glsplat.io.files import Source, replace_file
 from glsplat.splats import Splats
 
-SMALLEST = 1e-9
-"""Smallest standard deviation in a file, metres, as zero has no logarithm."""
+# names of a SOG's images: only these are deleted with a meta.json that lists them
+_OURS = re.compile(r"(means_[lu]|scales|quats|sh0|shN_(centroids|labels))(\.[0-9a-f]{12})?\.webp")
+
+Files = Iterable[tuple[str, bytes]]
+
+SMALLEST = 1e-9  # smallest standard deviation in a file, metres, as zero has no logarithm
 
 _STEPS = 65535
 _ROW = 64  # sets of coefficients in a row of the palette's image
-_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # of w x y z, by which is the largest
 
 Image = NDArray[np.uint8]
+
+
+def write_zip(target: Source, files: Files) -> None:
+    """Write one zip without compression, as the images have it. The same files give the same bytes."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in files:
+            info = zipfile.ZipInfo(name)  # dated 1980, for the same bytes at any time
+            info.create_system, info.external_attr = 3, 0o644 << 16
+            archive.writestr(info, data)
+    replace_file(target, [packed.getbuffer()])
+
+
+def write_folder(folder: Path, files: Files) -> None:
+    """Write the files to ``folder``, which is created if absent (its parents are not).
+
+    Images get unused names, and meta.json is replaced last, by a rename: readers find either all new or all old files,
+    even after a failure. The images of the old meta.json are deleted at the end.
+    """
+    made: list[Path] = []
+    try:
+        if not folder.is_dir():
+            folder.mkdir()
+            made.append(folder)
+        old = _named_by(folder / META)
+        new: dict[str, str] = {}
+        for name, data in files:
+            if name != META:
+                new[name] = _free(folder, name, data)
+                path = folder / new[name]
+                if not _same(path, data):
+                    fresh = not os.path.lexists(path)  # else a partial file of a power cut
+                    replace_file(path, [data])
+                    if fresh:
+                        made.append(path)
+                continue
+            for standard, chosen in new.items():
+                data = data.replace(b'"%s"' % standard.encode(), b'"%s"' % chosen.encode())
+            replace_file(folder / META, [data])
+    except BaseException as error:
+        for path in reversed(made):
+            with suppress(OSError):
+                (Path.rmdir if path == folder else Path.unlink)(path)
+        if isinstance(error, OSError):
+            raise FormatError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        raise
+    for name in old - set(new.values()):
+        with suppress(OSError):
+            os.unlink(folder / name)
+
+
+def _free(folder: Path, name: str, data: bytes) -> str:
+    """Return ``name`` if it is free, else with a part of the hash of ``data``."""
+    if not os.path.lexists(folder / name) or _same(folder / name, data):
+        return name
+    return f"{Path(name).stem}.{hashlib.sha256(data).hexdigest()[:12]}{Path(name).suffix}"
+
+
+def _same(path: Path, data: bytes) -> bool:
+    return not path.is_symlink() and path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+
+
+def _named_by(path: Path) -> set[str]:
+    """Return the images of an older meta.json with names of a SOG; none if it cannot be read."""
+    try:
+        text = path.read_bytes() if path.stat().st_size < 1 << 20 else b""
+        found = msgspec.json.decode(text, type=dict[str, object]).values()
+    except (OSError, msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
+        return set()
+    lists = [entry.get("files") for entry in found if isinstance(entry, dict)]
+    names = {name for files in lists if isinstance(files, list) for name in files if isinstance(name, str)}
+    return {name for name in names if _OURS.fullmatch(name)}
 
 
 def drawn(splats: Splats) -> Splats:
@@ -62,7 +144,7 @@ def packed(splats: Splats) -> Iterator[tuple[str, bytes]]:
     meta["scales"] = {"codebook": book.tolist(), "files": ["scales.webp"]}
     yield "scales.webp", _image(index[order], shape)
     meta["quats"] = {"files": ["quats.webp"]}
-    yield "quats.webp", _image(_smallest_three(splats.quats)[order], shape)
+    yield "quats.webp", _image(_rotations(splats.quats)[order], shape)
     book, index = codebook(splats.sh[:, 0])
     opacities = np.rint(np.clip(splats.opacities, 0, 1) * 255).astype(np.uint8)
     meta["sh0"] = {"codebook": book.tolist(), "files": ["sh0.webp"]}
@@ -90,11 +172,9 @@ def _steps(means: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.
     return low, high, np.rint((logs - low) / wide * _STEPS).astype(np.uint16)
 
 
-def _smallest_three(quats: NDArray[np.float32]) -> Image:
+def _rotations(quats: NDArray[np.float32]) -> Image:
     """Return [N, 4]: the three smaller components, signed so that the fourth is positive, and its index."""
-    largest = np.abs(quats).argmax(axis=1)
-    sign = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -1, 1)
-    three = np.take_along_axis(quats, _KEPT[largest], axis=1).astype(np.float64) * sign
+    largest, three = smallest_three(quats.astype(np.float64))
     pixels = np.rint((three * math.sqrt(0.5) + 0.5) * 255)
     return np.column_stack([np.clip(pixels, 0, 255), 252 + largest]).astype(np.uint8)
 

@@ -69,9 +69,9 @@ class DeviceReader:
         grips, squeezes, triggers, pressed = [], [], [], False
         for index, path in enumerate(self._paths):
             grips.append(self._located(self._grips[index], space, time) if active else None)
-            squeezes.append(self._number(self._squeeze, path) if active else 0.0)
-            triggers.append(self._number(self._trigger, path) if active else 0.0)
-            pressed |= active and self._pressed(path)
+            squeezes.append(self._state("float", self._squeeze, path) if active else 0.0)
+            triggers.append(self._state("float", self._trigger, path) if active else 0.0)
+            pressed |= active and self._state("boolean", self._next, path) > 0
         hands = [None if read is None else read(space, time) for read in self._hands] or [None, None]
         return Devices(
             head=self._located(view, space, time),
@@ -111,13 +111,11 @@ class DeviceReader:
             self._next = action("next_view", "Next view", kinds.BOOLEAN_INPUT, self._paths)
             for profile, (squeeze, trigger, following) in _PROFILES.items():
                 pairs = []
-                for index, side in enumerate(_SIDES):
+                for side, button in zip(_SIDES, following, strict=True):
                     below = f"/user/hand/{side}/input"
-                    pairs.append((self._grip, f"{below}/grip/pose"))
-                    pairs.append((self._next, f"{below}/{following[index]}"))
-                    pairs.append((self._trigger, f"{below}/{trigger}"))
-                    if squeeze is not None:
-                        pairs.append((self._squeeze, f"{below}/{squeeze}"))
+                    pairs += [(self._grip, f"{below}/grip/pose"), (self._next, f"{below}/{button}")]
+                    pairs += [(self._trigger, f"{below}/{trigger}")]
+                    pairs += [(self._squeeze, f"{below}/{squeeze}")] if squeeze is not None else []
                 self._suggest(profile, pairs)
             self._gaze = None
             looked = None
@@ -158,17 +156,13 @@ class DeviceReader:
             return transform_of(found.pose) if found._location_flags & _VALID == _VALID else None
         return None
 
-    def _number(self, action: Any, path: Any) -> float:
-        with called("xrGetActionStateFloat"):
-            state = self._xr.get_action_state_float(self._session, self._xr.ActionStateGetInfo(action, path))
+    def _state(self, kind: str, action: Any, path: Any) -> float:
+        """Return the state of a "float" or "boolean" action; 0 while it is not active."""
+        with called(f"the state of a {kind} action"):
+            read = getattr(self._xr, f"get_action_state_{kind}")
+            state = read(self._session, self._xr.ActionStateGetInfo(action, path))
             return float(state.current_state) if state.is_active else 0.0
         return 0.0
-
-    def _pressed(self, path: Any) -> bool:
-        with called("xrGetActionStateBoolean"):
-            state = self._xr.get_action_state_boolean(self._session, self._xr.ActionStateGetInfo(self._next, path))
-            return bool(state.is_active and state.current_state)
-        return False
 
     # --------------------------------------------------------------------------------------------------- extensions
 
@@ -177,10 +171,9 @@ class DeviceReader:
         xr = self._xr
         hand = xr.HandEXT.LEFT if side == "left" else xr.HandEXT.RIGHT
         info = xr.HandTrackerCreateInfoEXT(hand=hand, hand_joint_set=xr.HandJointSetEXT.DEFAULT)
-        tracker = self._made(lambda: xr.create_hand_tracker_ext(self._session, info))
+        tracker = self._tracker("hand_tracker_ext", info, stack)
         if tracker is None:
             return None
-        stack.callback(quietly, xr.destroy_hand_tracker_ext, tracker)
         locate = function(self._instance, "xrLocateHandJointsEXT")
         room = (xr.HandJointLocationEXT * _JOINTS)()
         joints = np.frombuffer(room, _HAND)
@@ -201,10 +194,9 @@ class DeviceReader:
         xr, full = self._xr, FULL_BODY in extensions
         count = 84 if full else 70  # XR_FULL_BODY_JOINT_COUNT_META, XR_BODY_JOINT_COUNT_FB
         info = xr.BodyTrackerCreateInfoFB(body_joint_set=xr.BodyJointSetFB(1000274000 if full else 0))
-        tracker = self._made(lambda: xr.create_body_tracker_fb(self._session, info))
+        tracker = self._tracker("body_tracker_fb", info, stack)
         if tracker is None:
             return None
-        stack.callback(quietly, xr.destroy_body_tracker_fb, tracker)
         locate = function(self._instance, "xrLocateBodyJointsFB")
         room = (xr.BodyJointLocationFB * count)()
         joints = np.frombuffer(room, _BODY)
@@ -224,10 +216,9 @@ class DeviceReader:
     def _face_tracker(self, stack: ExitStack) -> Callable[[int], list[float] | None] | None:
         xr = self._xr
         info = xr.FaceTrackerCreateInfo2FB(requested_data_sources=[xr.FaceTrackingDataSource2FB.VISUAL.value])
-        tracker = self._made(lambda: xr.create_face_tracker2_fb(self._session, info))
+        tracker = self._tracker("face_tracker2_fb", info, stack)
         if tracker is None:
             return None
-        stack.callback(quietly, xr.destroy_face_tracker2_fb, tracker)
         weigh = function(self._instance, "xrGetFaceExpressionWeights2FB")
         weights, sure = (ctypes.c_float * 70)(), (ctypes.c_float * 2)()
         found = xr.FaceExpressionWeights2FB(weights=weights, confidences=sure)
@@ -243,10 +234,9 @@ class DeviceReader:
         """Return a reader of the eyes (1) or lips (2)."""
         xr = self._xr
         info = xr.FacialTrackerCreateInfoHTC(facial_tracking_type=xr.FacialTrackingTypeHTC(kind))
-        tracker = self._made(lambda: xr.create_facial_tracker_htc(self._session, info))
+        tracker = self._tracker("facial_tracker_htc", info, stack)
         if tracker is None:
             return None
-        stack.callback(quietly, xr.destroy_facial_tracker_htc, tracker)
         express = function(self._instance, "xrGetFacialExpressionsHTC")
         weights = (ctypes.c_float * (14 if kind == 1 else 37))()
         found = xr.FacialExpressionsHTC(expression_weightings=weights)
@@ -258,11 +248,13 @@ class DeviceReader:
 
         return read
 
-    def _made(self, make: Callable[[], Any]) -> Any:
-        """Return a tracker; None if the extension exists but not the device."""
+    def _tracker(self, kind: str, info: Any, stack: ExitStack) -> Any:
+        """Return a tracker, which ``stack`` destroys; None if the extension exists but not the device."""
         try:
             with called("a tracker"):
-                return make()
+                tracker = getattr(self._xr, f"create_{kind}")(self._session, info)
+                stack.callback(quietly, getattr(self._xr, f"destroy_{kind}"), tracker)
+                return tracker
         except ContextError as error:
             if type(error) is not ContextError:  # the runtime is gone
                 raise

@@ -8,17 +8,15 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 from glsplat.errors import ContextError, ContextLostError
-from glsplat.extras.openxr.openxr.calls import called, function, pyopenxr, quietly
+from glsplat.extras.openxr.openxr.calls import Swapchain, called, function, pyopenxr, quietly
 from glsplat.extras.openxr.openxr.devices import WANTED, DeviceReader, transform_of
 from glsplat.extras.openxr.openxr.graphics import EGL_ENABLE, OPENGL_ENABLE, api_in_use, graphics_binding
-from glsplat.extras.openxr.openxr.swapchain import Swapchain
 from glsplat.extras.openxr.runtime import Blend, Devices, Event, Fov, FrameTiming, Projection, State, ViewPose
 from glsplat.gl.context import Context
 from glsplat.tracking.sample import Transform
 
 DEPTH, LOCAL_FLOOR, PASSTHROUGH = "XR_KHR_composition_layer_depth", "XR_EXT_local_floor", "XR_FB_passthrough"
-EYES = 1.6
-"""Assumed eye height if the device has no floor, metres."""
+EYES = 1.6  # assumed eye height if the device has no floor, metres
 
 START = "start SteamVR, the Meta Quest Link app, WiVRn or Monado (XR_RUNTIME_JSON names another one)"
 _BLENDS: dict[int, Blend] = {1: "opaque", 2: "additive", 3: "alpha"}
@@ -148,7 +146,10 @@ class OpenXrRuntime:
             state, views = xr.locate_views(self._session, xr.ViewLocateInfo(kind, time, self._space))
             if int(state._view_state_flags) & _VALID != _VALID or len(views) != 2:
                 return None
-            left, right = (ViewPose(transform_of(view.pose), _fov(view.fov)) for view in views)
+            angles = ("angle_left", "angle_right", "angle_up", "angle_down")
+            left, right = (
+                ViewPose(transform_of(view.pose), Fov(*(getattr(view.fov, name) for name in angles))) for view in views
+            )
             return left, right
         return None
 
@@ -334,7 +335,3 @@ class OpenXrRuntime:
 def _as(data: Any, kind: Any) -> Any:
     """Cast an event's buffer to its type."""
     return ctypes.cast(ctypes.byref(data), ctypes.POINTER(kind)).contents
-
-
-def _fov(fov: Any) -> Fov:
-    return Fov(fov.angle_left, fov.angle_right, fov.angle_up, fov.angle_down)

@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
-from glsplat.extras.rigs.humanoid import reference_joints
+from glsplat.extras.rigs.gltf import human_bones
 from glsplat.extras.rigs.match import other_side
-from glsplat.extras.rigs.meshes.faces import Faces
-from glsplat.extras.rigs.meshes.ground import faces_back, on_the_floor
 from glsplat.extras.rigs.meshes.left_out import TRIANGLES, LeftOut, apart, carried, nearest, refuse_packed, survey
-from glsplat.extras.rigs.meshes.rig import Rig, rig_of
-from glsplat.extras.rigs.meshes.surfaces import Materials, Surface, surface_of
-from glsplat.extras.rigs.vrm import human_bones
+from glsplat.extras.rigs.meshes.rig import Rig, faces_back, on_the_floor, rig_of
+from glsplat.extras.rigs.meshes.surfaces import Faces, Materials, Surface, surface_of
 from glsplat.formats.format import A_MOTION, opened
 from glsplat.formats.gltf.container import Container, item, read_container
 from glsplat.formats.gltf.nodes import Graph, Instance, graph_of, instances, only_moves
@@ -78,14 +75,12 @@ def mesh_of(container: Container, source: str) -> RiggedMesh:
         if any(_skinned(i) for i in shown):
             mesh = _rigged(container, graph, shown, source, False, {}, 1.0)
         else:
-            vertices, parts, first = [], [], 0
+            whole = _Collected()
             materials: Materials = {}
             for instance in shown:
                 surface = surface_of(container, instance, _weights(container, instance), materials)
-                vertices.append(surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
-                parts.append(_part(surface, first))
-                first += len(surface.points)
-            mesh = standing(np.concatenate(vertices), tuple(parts), source)
+                whole.add(surface, surface.points @ instance.matrix[:3, :3].T + instance.matrix[:3, 3])
+            mesh = standing(np.concatenate(whole.points), tuple(whole.parts), source)
         container.warn()
         return mesh
 
@@ -145,8 +140,8 @@ def _rigged(
     rigid = [node_of[id(i.node)] for i in shown if not _skinned(i)]
     given = _given(container, rig_map)
     known = {} if own_joints else turned or given
-    reference, holds = reference_joints(), _holding(container, shown, rigid)
-    rig = rig_of(container, graph, skins, rigid, known, reference, scale, own_joints, holds)
+    holds = _holding(container, shown, rigid)
+    rig = rig_of(container, graph, skins, rigid, known, scale, own_joints, holds)
     if not skins and rig.map is None:
         raise FormatError(_NO_SKIN)
     left = LeftOut()
@@ -154,7 +149,7 @@ def _rigged(
     several = len(skins) if mapped and 1 < len(skins) <= _SKELETONS else 0
     strangers = {skin for skin in skins[:several] if apart(graph, gltf.skins[skin].joints, mapped)}
     under = carried(graph, [*mapped, *(n for skin in skins if skin not in strangers for n in gltf.skins[skin].joints)])
-    vertices, joints, weights, parts, first = [], [], [], [], 0
+    whole = _Collected()
     materials: Materials = {}
     morphed: set[int] = set()
     faces = Faces(container)
@@ -172,18 +167,14 @@ def _rigged(
             left.add("meshes beside the person are left out", 1, instance.node.name or instance.name)
             continue
         points, moved, shares, linear = _bound(container, instance, node, on, surface, rig)
-        still = faces.add(instance, node, first, linear)
-        vertices.append(points)
-        joints.append(moved)
-        weights.append(shares)
-        parts.append(_part(surface, first))
-        first += len(points)
+        still = faces.add(instance, node, whole.count, linear)
+        whole.add(surface, points, moved, shares)
         if node not in morphed:  # all primitives of a mesh share their targets
             morphed.add(node)
             left.add("morph targets stay at their default weights", still)
     survey(container, list(instances(gltf, graph.world)), left)
-    at, skeleton = np.concatenate(vertices), rig.skeleton
-    all_joints, all_weights = _wide(joints), _wide(weights)
+    at, skeleton = np.concatenate(whole.points), rig.skeleton
+    all_joints, all_weights = _wide(whole.joints), _wide(whole.weights)
     if rig.map is not None:
         skeleton, at = on_the_floor(skeleton, at, all_joints, all_weights, rig.map.joints)
         if not known and faces_back(skeleton, at, all_joints, all_weights, rig.map.joints):
@@ -202,7 +193,7 @@ def _rigged(
         meta["no_map"] = rig.why
     if left.counts:
         meta["left_out"] = left.lines()
-    return RiggedMesh(at, skeleton, all_joints, all_weights, tuple(parts), meta, faces.morphs())
+    return RiggedMesh(at, skeleton, all_joints, all_weights, tuple(whole.parts), meta, faces.morphs())
 
 
 def _holding(container: Container, shown: Sequence[Instance], rigid: Sequence[int]) -> NDArray[np.bool_]:
@@ -299,34 +290,41 @@ def _merged(joints: NDArray[np.intp], weights: F64) -> tuple[NDArray[np.int64], 
 
 def _plain(container: Container, shown: Sequence[Instance], skin: int, skeleton: Skeleton, source: str) -> RiggedMesh:
     """Read a person who already has the joints of SMPL-X, with the stored points."""
-    vertices, joints, weights, parts, first = [], [], [], [], 0
+    whole = _Collected()
     materials: Materials = {}
     faces = Faces(container)
     for instance in shown:
         if not _skinned(instance) or instance.node.skin != skin:
             continue
-        faces.add(instance, instance.index, first, np.eye(3))
+        faces.add(instance, instance.index, whole.count, np.eye(3))
         surface = surface_of(container, instance, _weights(container, instance), materials)
         ids, shares, _ = _influences(container, instance, len(surface.points), len(skeleton))
-        wide = np.zeros((len(ids), 8), np.int64), np.zeros((len(ids), 8))
-        wide[0][:, : ids.shape[1]], wide[1][:, : ids.shape[1]] = ids, shares
-        parts.append(_part(surface, first))
-        vertices.append(surface.points)
-        joints.append(wide[0])
-        weights.append(wide[1])
-        first += len(surface.points)
+        more = ((0, 0), (0, _KEPT - ids.shape[1]))
+        whole.add(surface, surface.points, np.pad(ids, more), np.pad(shares, more))
     meta = {"source": source} | container.note()
     meta.pop("version", None)
-    return RiggedMesh(
-        np.concatenate(vertices),
-        skeleton,
-        np.concatenate(joints),
-        np.concatenate(weights),
-        tuple(parts),
-        meta,
-        faces.morphs(),
-    )
+    points, joints = np.concatenate(whole.points), np.concatenate(whole.joints)
+    weights = np.concatenate(whole.weights)
+    return RiggedMesh(points, skeleton, joints, weights, tuple(whole.parts), meta, faces.morphs())
 
 
-def _part(surface: Surface, first: int) -> MeshPart:
-    return MeshPart(surface.name, (surface.faces + first).astype(np.int32), surface.uv, surface.texture)
+class _Collected:
+    """Points, influences and parts of the surfaces read so far."""
+
+    def __init__(self) -> None:
+        self.points: list[F64] = []
+        self.joints: list[NDArray[np.int64]] = []
+        self.weights: list[F64] = []
+        self.parts: list[MeshPart] = []
+        self.count = 0
+
+    def add(
+        self, surface: Surface, points: F64, joints: NDArray[np.int64] | None = None, weights: F64 | None = None
+    ) -> None:
+        faces = (surface.faces + self.count).astype(np.int32)
+        self.parts.append(MeshPart(surface.name, faces, surface.uv, surface.texture))
+        self.points.append(points)
+        if joints is not None and weights is not None:
+            self.joints.append(joints)
+            self.weights.append(weights)
+        self.count += len(points)

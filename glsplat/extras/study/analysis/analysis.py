@@ -9,20 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from glsplat.errors import FormatError
-from glsplat.extras.statistics.bootstrap import LEVEL
+from glsplat.extras.statistics.nonparametric import LEVEL
 
 from .anova import Contrast, Model, ModelName, art, art_contrasts, art_spread, choose, conditions, name_of, stray
-from .effect_sizes import EffectSize, partial_eta_squared
-from .effects import effects_of
-from .plain import MOST_CONDITIONS, Omnibus, plain_tests
+from .plain import MOST_CONDITIONS, EffectSize, Omnibus, partial_eta_squared, plain_tests
 from .repeated import FTest
-from .table import Table
+from .table import Table, effects_of
 
 ALPHA = 0.05
 
@@ -51,10 +49,9 @@ class EffectRow:
     p: float
     epsilon: float | None
     p_corrected: float | None
-    eta_squared: EffectSize
-    """Partial eta squared."""
+    eta_squared: EffectSize  # partial eta squared
     f_spread: float | None = None
-    """F and p with ties spread (:func:`~.align.spread_ranks`), for answers on a coarse scale."""
+    """F and p with ties spread (:func:`~.anova.spread_ranks`), for answers on a coarse scale."""
     p_spread: float | None = None
 
     @property
@@ -98,11 +95,9 @@ class Analysis:
             "plain_left_out": list(self.plain_left_out),
             "stray_f": self.stray_f,
             "level": LEVEL,
-            "cells": [asdict(row) for row in self.cells],
-            "effects": [asdict(row) for row in self.effects],
-            "contrasts": [asdict(row) for row in self.contrasts],
-            "plain": [asdict(row) for row in self.plain],
         }
+        for name in ("cells", "effects", "contrasts", "plain"):
+            whole[name] = [asdict(row) for row in getattr(self, name)]
         known: dict[str, Any] = _known(whole)
         return known
 
@@ -122,21 +117,12 @@ def analyse(table: Table, kind: ModelName = "auto", seed: int = 0) -> Analysis:
         cells.append(Cell(condition, len(own), float(own.mean()), sd, *quartiles))
     tests = art(model)
     spread: Sequence[FTest | None] = art_spread(model) or [None] * len(tests)
-    effects = [
-        EffectRow(
-            name_of(table, test.effect),
-            test.f,
-            test.df1,
-            test.df2,
-            test.p,
-            test.epsilon,
-            test.p_corrected,
-            partial_eta_squared(test.f, test.df1, test.df2),
-            other.f if other else None,
-            other.p if other else None,
-        )
-        for test, other in zip(tests, spread, strict=True)
-    ]
+    effects = []
+    for test, other in zip(tests, spread, strict=True):
+        size = partial_eta_squared(test.f, test.df1, test.df2)
+        tested = (test.f, test.df1, test.df2, test.p, test.epsilon, test.p_corrected)
+        row = EffectRow(name_of(table, test.effect), *tested, size)
+        effects.append(replace(row, f_spread=other.f, p_spread=other.p) if other else row)
     contrasts = [
         contrast
         for effect in effects_of(len(table.factors))

@@ -1,4 +1,10 @@
-"""Choose a table's model; compute F tests and contrasts on aligned ranks."""
+"""The aligned rank transform (ART), a table's model, and F tests and contrasts on aligned ranks.
+
+ART removes all effects but one from the answers, then ranks them to test that effect: Wobbrock, Findlater, Gergle and
+Higgins (2011), "The aligned rank transform for nonparametric factorial analyses using only ANOVA procedures"; for
+contrasts Elkin, Kay, Higgins and Wobbrock (2021), "An aligned rank transform procedure for multifactor contrast tests"
+(ART-C). Means weight all answers equally, as in ARTool, also in unbalanced designs.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +18,85 @@ from scipy.special import stdtr
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
-from glsplat.extras.statistics.holm import holm
+from glsplat.extras.statistics.nonparametric import TIE, average_ranks, holm
 
-from . import align, mixed, repeated
-from .effects import Effect, effects_of
+from . import mixed, repeated
 from .repeated import FTest
-from .table import Table
+from .table import Effect, Table, effects_of
+
+DRAWS = 25
 
 ModelName = Literal["auto", "rm", "mixed"]
+
+
+def aligned(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """Return residuals plus the estimated effect (Wobbrock et al. 2011, steps 1 to 3), [..., N].
+
+    ``values``: other answers on the same rows, [..., N]. The estimate is the alternating sum of the means over all
+    subsets of the effect's factors.
+    """
+    y = table.values if values is None else values
+    out = y - _means(table, tuple(range(len(table.factors))), y)
+    for size in range(len(effect) + 1):
+        for subset in combinations(effect, size):
+            out = out + (-1) ** (len(effect) - size) * _means(table, subset, y)
+    return out
+
+
+def ranked(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """Return the ranks of :func:`aligned` from 1, mean ranks for ties, [..., N]."""
+    return average_ranks(_settled(aligned(table, effect, values), table.values if values is None else values))
+
+
+def spread_ranks(table: Table, effect: Effect, step: float, values: F64 | None = None, seed: int = 0) -> F64:
+    """Return aligned ranks averaged over 25 draws that spread each answer evenly over one ``step``, [..., N].
+
+    On a coarse scale alignment splits ties along the estimated effect, and ranking enlarges the split: ART finds
+    effects that do not exist (Luepsen 2017, "The aligned rank transform and discrete variables: a warning"). Spread
+    answers have no ties. ARTool does not do this.
+    """
+    y = table.values if values is None else values
+    rng = np.random.default_rng(seed)
+    total = np.zeros(y.shape)
+    for _ in range(DRAWS):
+        total += average_ranks(aligned(table, effect, y + step * (rng.random(y.shape) - 0.5)))
+    return total / DRAWS
+
+
+def step_of(values: F64) -> float | None:
+    """Return the smallest difference between answers [N] on a scale; None if fewer than half are tied, or all."""
+    known, counts = np.unique(average_ranks(values), return_counts=True)
+    if len(known) < 2 or counts[counts > 1].sum() < len(values) / 2:
+        return None
+    ordered = np.sort(values)
+    gaps = np.diff(ordered)
+    return float(gaps[gaps > TIE * np.abs(values).max()].min())
+
+
+def aligned_for_contrasts(table: Table, effect: Effect, values: F64 | None = None) -> F64:
+    """Return answers aligned as if the combinations of the effect's levels were one factor (ART-C), [..., N]."""
+    y = table.values if values is None else values
+    whole = tuple(range(len(table.factors)))
+    return y - _means(table, whole, y) + _means(table, effect, y) - _means(table, (), y)
+
+
+def ranked_for_contrasts(table: Table, effect: Effect) -> F64:
+    """Return the ranks of :func:`aligned_for_contrasts`, [..., N]."""
+    return average_ranks(_settled(aligned_for_contrasts(table, effect), table.values))
+
+
+def _settled(out: F64, y: F64) -> F64:
+    """Return aligned values with those within rounding error of the answers ``y`` set to 0, so that they are tied."""
+    size = np.abs(y).max(axis=-1, keepdims=True, initial=0.0)
+    return np.where(np.abs(out) <= 1e-12 * size, 0.0, out)
+
+
+def _means(table: Table, subset: Effect, y: F64) -> F64:
+    """Return each row's mean over all rows with the same levels of these factors, [..., N]."""
+    place = table.combination(subset)
+    member = np.zeros((len(place), int(place.max()) + 1))
+    member[np.arange(len(place)), place] = 1
+    return (y @ (member / np.maximum(member.sum(axis=0), 1)))[..., place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +105,7 @@ class Model:
 
     table: Table
     kind: Literal["rm", "mixed"]
-    left_out: tuple[str, ...] = ()
-    """Participants who lack a condition, left out by rm (listwise)."""
+    left_out: tuple[str, ...] = ()  # participants who lack a condition, left out by rm (listwise)
 
 
 @dataclass(frozen=True)
@@ -44,8 +120,7 @@ class Contrast:
     df: float
     t: float
     p: float
-    p_holm: float
-    """Corrected for all pairs of this effect."""
+    p_holm: float  # corrected for all pairs of this effect
 
 
 def choose(table: Table, kind: ModelName = "auto") -> Model:
@@ -77,16 +152,16 @@ def choose(table: Table, kind: ModelName = "auto") -> Model:
 
 def art(model: Model) -> list[FTest]:
     """Return an F test for every main effect and interaction, each on its own aligned ranks."""
-    return [_test(model, effect, align.ranked(model.table, effect)) for effect in effects_of(len(model.table.factors))]
+    return [_test(model, effect, ranked(model.table, effect)) for effect in effects_of(len(model.table.factors))]
 
 
 def art_spread(model: Model) -> list[FTest] | None:
     """Return the F tests of :func:`art` on ranks with ties spread; None unless the scale is coarse."""
-    step = align.step_of(model.table.values)
+    step = step_of(model.table.values)
     if step is None:
         return None
     effects = effects_of(len(model.table.factors))
-    return [_test(model, effect, align.spread_ranks(model.table, effect, step)) for effect in effects]
+    return [_test(model, effect, spread_ranks(model.table, effect, step)) for effect in effects]
 
 
 def stray(model: Model) -> float:
@@ -97,7 +172,7 @@ def stray(model: Model) -> float:
     table, worst = model.table, 0.0
     effects = effects_of(len(table.factors))
     for effect in effects:
-        rows = align.aligned(table, effect)
+        rows = aligned(table, effect)
         if np.ptp(rows) == 0:
             continue
         rows = rows / np.abs(rows).max()  # F is scale-free; avoid overflow
@@ -115,7 +190,7 @@ def stray(model: Model) -> float:
 def art_contrasts(model: Model, effect: Effect) -> list[Contrast]:
     """Return ART-C contrasts of all pairs of the effect's conditions, corrected by Holm; [] if nothing varies."""
     table = model.table
-    rows = align.ranked_for_contrasts(table, effect)
+    rows = ranked_for_contrasts(table, effect)
     names = conditions(table, effect)
     pairs = list(combinations(range(len(names)), 2))
     weights = np.zeros((len(pairs), len(names)))

@@ -20,9 +20,8 @@ from scipy.special import fdtrc
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
 
-from .effects import Effect, averages, hypothesis
 from .repeated import NOTHING, FTest
-from .table import Table
+from .table import Effect, Table, averages, hypothesis
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +31,10 @@ class Fit:
     means: F64
     covariance: F64
     adjusted: F64
-    residual: float
-    """Variance within a participant."""
-    intercepts: float
-    """Variance of the random intercepts."""
+    residual: float  # variance within a participant
+    intercepts: float  # variance of the random intercepts
     pieces: tuple[F64, F64]
-    information: F64
-    """Covariance of the two variances, [2, 2]."""
+    information: F64  # covariance of the two variances, [2, 2]
 
 
 def fit(table: Table, rows: F64) -> Fit | None:

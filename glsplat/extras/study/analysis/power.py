@@ -17,13 +17,11 @@ from scipy.stats import binomtest
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
-from glsplat.extras.statistics.bootstrap import LEVEL
+from glsplat.extras.statistics.nonparametric import LEVEL
 
-from .align import ranked, spread_ranks
-from .anova import choose, name_of
-from .effects import Effect, effects_of, hypothesis
+from .anova import choose, name_of, ranked, spread_ranks
 from .repeated import f_tests, split
-from .table import Table, make_table
+from .table import Effect, Table, effects_of, hypothesis, make_table
 
 Draws = Callable[[np.random.Generator, int], F64]
 """Draws the answers [runs, N] of ``runs`` studies, on the rows of the planned table."""
@@ -148,8 +146,7 @@ def from_pilot(pilot: Table, participants: int) -> tuple[Draws, Table]:
     factors = {factor.name: factor.levels for factor in pilot.factors}
     between = frozenset(factor.name for factor in pilot.factors if not factor.within)
     table = Planned(factors, participants, between).table
-    inside = [table.shape[i] for i in table.within]
-    place = np.ravel_multi_index(tuple(table.codes[:, i] for i in table.within), inside) if inside else 0 * table.cell
+    place = table.combination(table.within)
     members = [np.flatnonzero(parts.group == group) for group in range(len(parts.sizes))]
 
     def drawn(rng: np.random.Generator, runs: int) -> F64:
@@ -174,7 +171,7 @@ def power(
 ) -> list[Power]:
     """Return the power of each effect, by the aligned rank transform and repeated-measures F tests on ``runs`` studies.
 
-    ``step`` of the scale: spread ties (:func:`~glsplat.extras.study.analysis.align.spread_ranks`). ``progress`` gets
+    ``step`` of the scale: spread ties (:func:`~glsplat.extras.study.analysis.anova.spread_ranks`). ``progress`` gets
     the number of studies finished since its last call. The same seed gives the same result. Raises FormatError.
     """
     if runs < 1 or not 0 < alpha < 1:

@@ -16,11 +16,9 @@ from scipy.special import fdtrc
 
 from glsplat.arrays import F64
 
-from .effects import Effect, averages, hypothesis, kron
-from .table import Table
+from .table import Effect, Table, averages, hypothesis, kron
 
-NOTHING = 1e-12
-"""Sums of squares below this share of the total are rounding errors."""
+NOTHING = 1e-12  # sums of squares below this share of the total are rounding errors
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,7 @@ def split(table: Table, rows: F64) -> Split:
     """Return rows [..., N] of a table as [..., P, K]; several answers to one combination are averaged."""
     shape = tuple(table.shape[i] for i in table.within)
     count = math.prod(shape)
-    place = np.ravel_multi_index(tuple(table.codes[:, i] for i in table.within), shape) if shape else 0 * table.cell
-    target = table.participant * count + place
+    target = table.participant * count + table.combination(table.within)
     sums = np.zeros((*rows.shape[:-1], len(table.names) * count))
     if len(np.unique(target)) == len(target):
         sums[..., target] = rows

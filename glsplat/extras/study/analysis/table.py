@@ -1,4 +1,4 @@
-"""A tidy table: a row for each participant and condition, a column for each factor, and one response.
+"""A tidy table, with a row for each participant and condition and a column for each factor; the effects of a design.
 
 >>> table = read_table("scores.csv", ["type", "method"])
 >>> [factor.name for factor in table.factors if factor.within]
@@ -13,11 +13,13 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
@@ -27,6 +29,9 @@ Ints = NDArray[np.intp]
 
 MOST_CELLS = 256  # conditions of a design
 _NOTHING = {"", "na", "nan", "n/a", "null", "none"}  # how programs write a missing answer
+
+Effect = tuple[int, ...]
+"""Indices of an effect's factors: (0,) is a main effect, (0, 2) an interaction."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +56,7 @@ class Table:
     participant: Ints
     codes: Ints
     values: F64
-    unanswered: int = 0
-    """Number of rows left out because their value was missing."""
+    unanswered: int = 0  # number of rows left out because their value was missing
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -61,8 +65,8 @@ class Table:
 
     @cached_property
     def cell(self) -> Ints:
-        """Each row's cell of the whole design, [N]; the last factor varies fastest."""
-        return np.asarray(np.ravel_multi_index(tuple(self.codes.T), self.shape))
+        """Each row's cell of the whole design, [N]."""
+        return self.combination(range(len(self.factors)))
 
     @cached_property
     def within(self) -> tuple[int, ...]:
@@ -77,20 +81,15 @@ class Table:
     @cached_property
     def answers(self) -> Ints:
         """Number of each participant's answers to each combination of the within factors, [P, K]."""
-        shape = [self.shape[i] for i in self.within]
-        place = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.within), shape) if shape else 0 * self.cell
-        counts = np.zeros((len(self.names), math.prod(shape)), np.intp)
-        np.add.at(counts, (self.participant, place), 1)
+        counts = np.zeros((len(self.names), math.prod(self.shape[i] for i in self.within)), np.intp)
+        np.add.at(counts, (self.participant, self.combination(self.within)), 1)
         return counts
 
     @cached_property
     def group(self) -> Ints:
         """Each participant's combination of the between factors, [P]."""
-        shape = [self.shape[i] for i in self.between]
-        if not shape:
-            return np.zeros(len(self.names), np.intp)
         out = np.zeros(len(self.names), np.intp)
-        out[self.participant] = np.ravel_multi_index(tuple(self.codes[:, i] for i in self.between), shape)
+        out[self.participant] = self.combination(self.between)
         return out
 
     @property
@@ -103,6 +102,12 @@ class Table:
         """Whether all participants answered all combinations equally often, and groups are of one size."""
         sizes = np.bincount(self.group)
         return bool((self.answers == self.answers[0, 0]).all() and (sizes == sizes[0]).all())
+
+    def combination(self, factors: Sequence[int]) -> Ints:
+        """Return each row's combination of the levels of some factors, [N]; the last factor varies fastest."""
+        if not factors:
+            return np.zeros(len(self.codes), np.intp)
+        return np.asarray(np.ravel_multi_index(tuple(self.codes[:, factors].T), [self.shape[i] for i in factors]))
 
     def of(self, names: Sequence[str]) -> Table:
         """Return the table of these participants alone. Raises FormatError if a combination loses all its answers."""
@@ -247,3 +252,34 @@ def _natural(text: str) -> tuple[tuple[int, float, str], ...]:
     """Return a key that sorts P2 before P10 and 0.5 before 10."""
     parts = re.split(r"(\d+(?:\.\d+)?)", text)
     return tuple((1, float(part), "") if i % 2 else (0, 0.0, part) for i, part in enumerate(parts))
+
+
+def effects_of(count: int) -> list[Effect]:
+    """Return all main effects and interactions of ``count`` factors, those of few factors first (the order of R)."""
+    return [effect for size in range(1, count + 1) for effect in combinations(range(count), size)]
+
+
+@lru_cache(maxsize=256)
+def hypothesis(shape: tuple[int, ...], effect: Effect) -> F64:
+    """Return the contrasts [d, prod(shape)] of cell means that are 0 without the effect; rows are orthonormal.
+
+    Cells weigh the same, however many answers they have: type III sums of squares (sum contrasts in R).
+    """
+    parts = [helmert(n) if i in effect else np.full((1, n), 1 / math.sqrt(n)) for i, n in enumerate(shape)]
+    out = kron(parts)
+    out.flags.writeable = False  # cached
+    return out
+
+
+def averages(shape: Sequence[int], effect: Effect) -> F64:
+    """Return the weights [K, prod(shape)] of estimated marginal means, a row for each of the effect's K cells."""
+    parts = [np.eye(n) if i in effect else np.full((1, n), 1 / n) for i, n in enumerate(shape)]
+    return kron(parts)
+
+
+def kron(parts: Sequence[F64]) -> F64:
+    """Return the Kronecker product of all ``parts``; [[1]] for none."""
+    out: F64 = np.ones((1, 1))
+    for part in parts:
+        out = np.asarray(np.kron(out, part), np.float64)
+    return out

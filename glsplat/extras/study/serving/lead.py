@@ -24,9 +24,7 @@ from aiohttp import web
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError, GlsplatError, ProtocolError
-from glsplat.extras.study.serving.light import FULL, dim
-from glsplat.extras.study.serving.live import Live, wrong_page
-from glsplat.extras.study.serving.page_state import for_experimenter, for_participant
+from glsplat.extras.study.serving.live import Live, for_experimenter, for_participant, wrong_page
 from glsplat.extras.study.serving.recording import Recording
 from glsplat.extras.study.store import FRAMES, TRACKING
 from glsplat.io.files import open_regular, replace_file
@@ -44,23 +42,13 @@ log: logging.Logger = logging.getLogger("glsplat.extras.study")
 HEADER = "X-Glsplat-Study"
 """Header of requests to /study/...: the secret of the participant or the experimenter."""
 
-KEYS = "keys.json"
-"""File of both secrets in a participant's folder."""
+KEYS = "keys.json"  # file of both secrets in a participant's folder
 
 MIN_PAGE_NAME, MAX_PAGE_NAME = 8, 64  # characters
 _LONG_POLL_S = 1.0
 MAX_MESSAGE_BYTES = 48 << 10
-_STATUS = {
-    "elsewhere": 409,
-    "enter": 409,
-    "wrong_step": 409,
-    "paused": 409,
-    "ended": 410,
-    "full": 413,
-    "bad_answer": 422,
-    "bad_note": 422,
-    "rate": 429,
-}
+_STATUS = dict.fromkeys(("elsewhere", "enter", "wrong_step", "paused"), 409)
+_STATUS |= {"ended": 410, "full": 413, "bad_answer": 422, "bad_note": 422, "rate": 429}
 _REPORT_S = 0.5  # least time between two recorded reports; the page reports once per second
 _FIGURES = ("fps", "age_ms", "age_p95_ms", "rtt_ms", "frame_rate")
 _JPEG_QUALITY = 80  # of the experimenter's picture
@@ -70,6 +58,10 @@ _PRIVATE = "a study runs here: open the page that it was started with"
 _SET_BY_STUDY = ("avatar", "room", "name", "at", "label")  # URL parameters that the condition overrides
 
 Handler = Callable[[web.Request, dict[str, Any]], Awaitable[web.Response]]
+
+FULL = (1.0, 1.0, 1.0)  # no change
+
+_GAMMA = 2.2  # of the display: a light factor f multiplies bytes by f ** (1 / 2.2)
 
 
 def secrets_of(folder: Path) -> dict[str, str]:
@@ -97,11 +89,11 @@ class StudyLead(Feature):
     def __init__(self, live: Live, avatars: Mapping[str, str]) -> None:
         self.live, self.secrets = live, secrets_of(live.store.folder)
         self._avatars = avatars
-        self._tracking, self._frames = Recording(live.store.folder / TRACKING), Recording(live.store.folder / FRAMES)
+        self.tracking, self._frames = Recording(live.store.folder / TRACKING), Recording(live.store.folder / FRAMES)
         self._clients: dict[int, tuple[str, str]] = {}  # page and condition at the opening, by number
         self._steps = {step.alias: step.name for step in live.session.steps}
         self._heads = False  # whether all avatars can be shown without heads
-        self._picture: bytes | None = None  # last reply
+        self.picture: bytes | None = None  # last reply
         self._reported = -math.inf  # time of the last recorded report, by ``live.t``
         self._end: Callable[[int, str], None] = lambda number, reason: None
 
@@ -144,7 +136,7 @@ class StudyLead(Feature):
         """Close the log and the recordings."""
         await asyncio.gather(self._opening, return_exceptions=True)
         await self.live.close()
-        await asyncio.to_thread(self._tracking.close)
+        await asyncio.to_thread(self.tracking.close)
         await asyncio.to_thread(self._frames.close)
 
     def query(self, asked: Mapping[str, str], user: User | None) -> Mapping[str, str]:
@@ -171,17 +163,6 @@ class StudyLead(Feature):
     def client_closed(self, client: ClientStream, goodbye: bool) -> None:
         """Forget the client."""
         self._clients.pop(client.number, None)
-
-    def record_request(self, request: Request) -> None:
-        """Record the tracking of a request."""
-        step = self.live.session.step
-        if request.tracking is not None and step is not None:
-            values = request.tracking.to_json() | {"client_ms": request.t}
-            self._tracking.add(self.live.t, step.name, "tracking", values)
-
-    def keep_reply(self, message: bytes) -> None:
-        """Keep the last reply for the experimenter."""
-        self._picture = message
 
     def _changed(self) -> None:
         """Disconnect clients whose page or condition is outdated; they reconnect."""
@@ -261,7 +242,7 @@ class StudyLead(Feature):
     async def _watch(self, request: web.Request, message: dict[str, Any]) -> web.Response:
         after = message.get("after")
         await self.live.wait(after if isinstance(after, int) else -1, _LONG_POLL_S)
-        lost = self._tracking.lost + self._frames.lost
+        lost = self.tracking.lost + self._frames.lost
         return web.json_response(for_experimenter(self.live) | {"lost_lines": lost})
 
     async def _command(self, request: web.Request, message: dict[str, Any]) -> web.Response:
@@ -281,7 +262,7 @@ class StudyLead(Feature):
         return web.json_response(for_experimenter(self.live))
 
     async def _picture_route(self, request: web.Request, message: dict[str, Any]) -> web.Response:
-        data = self._picture
+        data = self.picture
         jpeg = None if data is None or self.live.condition is None else await asyncio.to_thread(_small, data)
         return web.Response(status=204) if jpeg is None else web.Response(body=jpeg, content_type="image/jpeg")
 
@@ -301,14 +282,17 @@ class _StudyObserver:
         self._lead, self._light = lead, light
 
     def request_received(self, request: Request) -> None:
-        self._lead.record_request(request)
+        live, step = self._lead.live, self._lead.live.session.step
+        if request.tracking is not None and step is not None:
+            values = request.tracking.to_json() | {"client_ms": request.t}
+            self._lead.tracking.add(live.t, step.name, "tracking", values)
 
     def picture_drawn(self, images: NDArray[np.uint8]) -> None:
         if self._light != FULL:
             dim(images, self._light)
 
     def reply_sent(self, messages: Sequence[bytes]) -> None:
-        self._lead.keep_reply(messages[-1])
+        self._lead.picture = messages[-1]
 
 
 class _HeadOnly:
@@ -320,13 +304,8 @@ class _HeadOnly:
     def solve(self, request: Request, now: float) -> Solved:
         sample = request.tracking
         if sample is not None:
-            head = type(sample)(
-                sample.t,
-                sample.head,
-                expression=sample.expression,
-                left_eye=sample.left_eye,
-                right_eye=sample.right_eye,
-            )
+            kept = {name: getattr(sample, name) for name in ("expression", "left_eye", "right_eye")}
+            head = type(sample)(sample.t, sample.head, **kept)
             request = replace(request, tracking=head)
         return self._solver.solve(request, now)
 
@@ -371,3 +350,16 @@ def _refusal(status: int, code: str, text: str, wait: int | None = None) -> web.
     """Return an error response; ``wait``: seconds until the next try."""
     headers = None if wait is None else {"Retry-After": f"{wait}"}
     return web.json_response({"error": {"code": code, "message": text}}, status=status, headers=headers)
+
+
+def dim(images: NDArray[np.uint8], light: tuple[float, float, float]) -> None:
+    """Multiply the light of ``images`` [V, H, W, 4] by ``light`` [3], 0 to 1, linear RGB, in place.
+
+    With a pure power as display curve, a byte's factor does not depend on alpha, so premultiplied edges stay correct.
+    sRGB differs by its linear part near black.
+    """
+    values = np.arange(256)
+    for channel, factor in enumerate(light):
+        if factor != 1:
+            table = np.rint(values * factor ** (1 / _GAMMA)).astype(np.uint8)
+            images[..., channel] = table[images[..., channel]]

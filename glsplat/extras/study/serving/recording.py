@@ -18,10 +18,8 @@ from typing import Any
 
 log: logging.Logger = logging.getLogger("glsplat.extras.study")
 
-MAX_BYTES = 16 << 30
-"""Limit of one file: 12 hours of both hands with all joints at 120 Hz."""
-MIN_FREE_BYTES = 64 << 20
-"""Disk space kept free: the size limit of a session's log."""
+MAX_BYTES = 16 << 30  # limit of one file: 12 hours of both hands with all joints at 120 Hz
+MIN_FREE_BYTES = 64 << 20  # disk space kept free: the size limit of a session's log
 
 MAX_QUEUED = 4096  # lines: 45 seconds at 90 Hz
 _DIGITS = 5  # of metres and quaternions

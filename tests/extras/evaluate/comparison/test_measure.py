@@ -12,10 +12,8 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.mesh_truth import MeshTruth
 from glsplat.extras.evaluate.comparison.measure import Reference, Scores
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.parts import PARTS, labelled_mesh, labels_of, regions
-from glsplat.extras.evaluate.comparison.performance import perform
-from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes
-from glsplat.extras.evaluate.comparison.stage import Stage, StageTruth
+from glsplat.extras.evaluate.comparison.protocol import Protocol, eyes, perform
+from glsplat.extras.evaluate.comparison.stage import PARTS, Stage, StageTruth, labelled_mesh, labels_of, regions
 from glsplat.gl.context import Context
 
 PROTOCOL = Protocol(tasks=("waving",), views=("left",), size=128, light="none")

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from glsplat.errors import PoseError
-from glsplat.extras.evaluate.comparison.control import recorded, tracked, true_poses
 from glsplat.extras.evaluate.comparison.participant import Participant
-from glsplat.extras.evaluate.comparison.performance import RATE, TASKS, perform
+from glsplat.extras.evaluate.comparison.protocol import RATE, TASKS, perform, recorded, tracked, true_poses
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.skeleton import Skeleton
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from glsplat.extras.evaluate.comparison import tables
-from glsplat.extras.evaluate.comparison.control import CONTROLS
 from glsplat.extras.evaluate.comparison.measure import MEASURES, OVERLAP, PARTED
-from glsplat.extras.evaluate.comparison.parts import PARTS
+from glsplat.extras.evaluate.comparison.protocol import CONTROLS
+from glsplat.extras.evaluate.comparison.stage import PARTS
 from glsplat.extras.evaluate.comparison.work import Result
 
 PEOPLE, METHODS = ("p01", "p02", "p03"), ("first", "second")
@@ -80,14 +80,14 @@ def test_by_participant(results: list[Result], figures: np.ndarray) -> None:
 def test_along_an_axis(
     results: list[Result], figures: np.ndarray, key: str, labels: tuple[str, ...], axes: tuple[int, ...]
 ) -> None:
-    rows = {"moment": tables.by_moment, "view": tables.by_view}[key](results, METHODS)
+    rows = tables.along(results, METHODS, key)
     assert len(rows) == len(METHODS) * len(CONTROLS) * 2
     for row in rows:
         check(row, good(figures, row).mean(axis=axes)[..., labels.index(row[key])])
 
 
 def test_parts_that_are_not_seen_have_no_row(results: list[Result], figures: np.ndarray) -> None:
-    rows = tables.by_part(results, METHODS)
+    rows = tables.along(results, METHODS, "part")
     assert {row["part"] for row in rows} == set(PARTS) - {"hands"}
     for row in rows:
         columns = [MEASURED.index(name) for name in PARTED]

@@ -15,8 +15,7 @@ from glsplat.extras.evaluate.comparison import work as working
 from glsplat.extras.evaluate.comparison.method import MadeElsewhere, method_of
 from glsplat.extras.evaluate.comparison.participant import Participant, participants_in
 from glsplat.extras.evaluate.comparison.protocol import Protocol
-from glsplat.extras.evaluate.comparison.work import Result, Task, finished, work
-from glsplat.extras.evaluate.comparison.workers import run_tasks
+from glsplat.extras.evaluate.comparison.work import Result, Task, finished, run_tasks, work
 from glsplat.formats import load, save
 
 pytestmark = pytest.mark.usefixtures("no_lpips", "strangers")
@@ -171,14 +170,18 @@ def test_participants_are_found_by_their_files(tmp_path) -> None:
 
 @pytest.mark.check
 def test_one_bad_avatar_leaves_its_neighbours_alone(people, short, tmp_path, monkeypatch) -> None:
-    draw = working.Stage.draw
+    add, renderers = working.Stage.add, []
 
-    def failing(stage, figure, cameras, pose):
-        if figure == 0:
-            raise ZeroDivisionError("nothing to see")
-        return draw(stage, figure, cameras, pose)
+    def broken(cameras, pose):
+        raise ZeroDivisionError("nothing to see")
 
-    monkeypatch.setattr(working.Stage, "draw", failing)
+    def adding(stage, figure):
+        renderers.append(add(stage, figure))
+        if len(renderers) == 1:
+            renderers[0].render = broken
+        return renderers[-1]
+
+    monkeypatch.setattr(working.Stage, "add", adding)
     (task,) = tasks_of(people[1:2], short, tmp_path, "itself", "smaller")
     results = {result.method: result.failed for result in work(task, quiet)}
     assert results == {"itself": "ZeroDivisionError: nothing to see", "smaller": ""}

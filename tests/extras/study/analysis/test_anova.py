@@ -9,14 +9,21 @@ import pytest
 import scipy.stats
 
 from glsplat.errors import FormatError
-from glsplat.extras.study.analysis.align import aligned, aligned_for_contrasts, ranked, spread_ranks, step_of
-from glsplat.extras.study.analysis.anova import art, art_contrasts, choose
-from glsplat.extras.study.analysis.effects import effects_of
+from glsplat.extras.study.analysis.anova import (
+    aligned,
+    aligned_for_contrasts,
+    art,
+    art_contrasts,
+    choose,
+    ranked,
+    spread_ranks,
+    step_of,
+)
 from glsplat.extras.study.analysis.mixed import fit
 from glsplat.extras.study.analysis.mixed import test as kenward_roger
 from glsplat.extras.study.analysis.power import Planned
 from glsplat.extras.study.analysis.repeated import contrast_rows, f_tests
-from glsplat.extras.study.analysis.table import Table, make_table
+from glsplat.extras.study.analysis.table import Table, effects_of, make_table
 
 TABLE = Planned({"a": ("1", "2"), "b": ("1", "2", "3"), "c": ("1", "2")}, 7, frozenset({"c"})).table
 

@@ -10,9 +10,16 @@ import pytest
 from apps.study.r_script import r_script
 from apps.study.results_text import results_text
 from glsplat.errors import FormatError
-from glsplat.extras.study.analysis.align import ranked_for_contrasts
 from glsplat.extras.study.analysis.analysis import analyse
-from glsplat.extras.study.analysis.anova import Model, ModelName, art, art_contrasts, choose, name_of
+from glsplat.extras.study.analysis.anova import (
+    Model,
+    ModelName,
+    art,
+    art_contrasts,
+    choose,
+    name_of,
+    ranked_for_contrasts,
+)
 from glsplat.extras.study.analysis.mixed import fit
 from tests.extras.study.analysis.designs import COUNT, design
 

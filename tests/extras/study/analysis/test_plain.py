@@ -9,12 +9,10 @@ import pytest
 import scipy.stats
 
 from glsplat.errors import FormatError
-from glsplat.extras.statistics.holm import holm
-from glsplat.extras.statistics.ranks import wilcoxon
-from glsplat.extras.study.analysis.effect_sizes import cliffs_delta, partial_eta_squared
-from glsplat.extras.study.analysis.plain import friedman, kruskal_wallis, plain_tests
+from glsplat.extras.statistics.nonparametric import holm, wilcoxon
+from glsplat.extras.study.analysis.codebook import reliability
+from glsplat.extras.study.analysis.plain import cliffs_delta, friedman, kruskal_wallis, partial_eta_squared, plain_tests
 from glsplat.extras.study.analysis.power import Planned
-from glsplat.extras.study.analysis.reliability import reliability
 from glsplat.extras.study.analysis.table import make_table
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.study.serving.light import dim
+from glsplat.extras.study.serving.lead import dim
 from glsplat.extras.study.serving.live import PAGE_TIMEOUT_S, resumed_at
 from glsplat.extras.study.session import Event
 from glsplat.extras.study.store import SESSION, TRACKING, Log, Store

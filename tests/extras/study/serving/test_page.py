@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from glsplat.extras.study.serving import quota
+from glsplat.extras.study.serving import live
 from tests.extras.study.serving.client import TOKEN, Client, run
 from tests.in_node import write_modules
 from tests.needs import program, require
@@ -33,8 +33,8 @@ async def answering(client: Client, folder: Path, values: list[int]) -> dict[str
 
 def test_the_page_keeps_what_has_to_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """429: it says so, waits as long as the server asks for, and loses nothing."""
-    monkeypatch.setattr(quota, "BURST_BYTES", 300)
-    monkeypatch.setattr(quota, "RATE_BYTES_S", 150.0)
+    monkeypatch.setattr(live, "BURST_BYTES", 300)
+    monkeypatch.setattr(live, "RATE_BYTES_S", 150.0)
 
     async def test(client: Client) -> None:
         await client.begin()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from glsplat.extras.study.serving import quota
+from glsplat.extras.study.serving import live
 from glsplat.extras.study.store import FRAMES, SESSION, Log
 from tests.extras.study.serving.client import OTHER, PAGE, Client, Clock, run, until
 
@@ -32,8 +32,8 @@ async def refused(client: Client, what: str, page: str = PAGE, **more: Any) -> t
 
 def test_answers_that_come_too_fast_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Changed back and forth without end: 429 with the time to wait; what was acknowledged is what the log has."""
-    monkeypatch.setattr(quota, "BURST_BYTES", 8000)
-    monkeypatch.setattr(quota, "RATE_BYTES_S", 100.0)
+    monkeypatch.setattr(live, "BURST_BYTES", 8000)
+    monkeypatch.setattr(live, "RATE_BYTES_S", 100.0)
     clock = Clock()
 
     async def test(client: Client) -> None:
@@ -67,7 +67,7 @@ def test_answers_that_come_too_fast_wait(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_full_log_takes_what_leads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No answer is changed, no task begun anew by another page; the session is finished all the same."""
-    monkeypatch.setattr(quota, "MAX_LOG_BYTES", 100)
+    monkeypatch.setattr(live, "MAX_LOG_BYTES", 100)
     clock = Clock()
 
     async def test(client: Client) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 __all__ = ["DATA", "small_pairs"]
 
-DATA = Path(__file__).parents[1] / "data"
+DATA = Path(__file__).parent / "data"
 F32 = NDArray[np.float32]
 
 

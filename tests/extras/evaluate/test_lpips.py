@@ -15,9 +15,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.authoring.models.catalogue import LPIPS
 from glsplat.extras.authoring.models.store import state_of
-from glsplat.extras.evaluate.metrics.lpips import Lpips
-from glsplat.extras.evaluate.metrics.weights import BACKBONES, Backbone, read_weights
-from tests.extras.evaluate.metrics.lpips_pairs import DATA, small_pairs
+from glsplat.extras.evaluate.lpips import BACKBONES, Backbone, Lpips, read_weights
+from tests.extras.evaluate.lpips_pairs import DATA, small_pairs
 
 Tree = dict[str, dict[str, dict[str, Any]]]
 

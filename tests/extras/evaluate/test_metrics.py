@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.evaluate.metrics.flip import flip
-from glsplat.extras.evaluate.metrics.pixels import decibel, l1, psnr
-from glsplat.extras.evaluate.metrics.structure import ssim, ssim_map
+from glsplat.extras.evaluate.metrics import decibel, flip, l1, psnr, ssim, ssim_map
 
 BOX = (slice(10, 31), slice(3, 60))
 

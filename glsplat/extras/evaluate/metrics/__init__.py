@@ -1,1 +1,0 @@
-"""Measures of the difference of two pictures [H, W, 3] in [0, 1]."""

@@ -1,1 +1,0 @@
-"""Sections of the report: cost of avatars and of unused features."""
