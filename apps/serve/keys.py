@@ -81,8 +81,7 @@ def watermark_of(args: ServeOptions) -> WatermarkKey | None:
     if args.watermark is None and not has_extra("watermark"):
         log.warning("pictures are not marked: %s", missing("watermark", "a watermark"))
         return None
-    from glsplat.extras.watermark.keys import read_watermark
-    from glsplat.extras.watermark.state import kept_watermark
+    from glsplat.extras.watermark.keys import kept_watermark, read_watermark
 
     if args.watermark not in (None, "on"):
         with naming_option(args, "watermark"):

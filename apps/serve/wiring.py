@@ -26,7 +26,7 @@ from glsplat.scene import Rigged
 if TYPE_CHECKING:
     from glsplat.extras.consent.policy import ConsentPolicy
     from glsplat.extras.uploads.job import UploadConfig
-    from glsplat.extras.workers.options import Workers
+    from glsplat.extras.workers.pool import Workers
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from glsplat.extras.workers.cluster import require_ray
-from glsplat.extras.workers.options import Workers
+from glsplat.extras.workers.pool import Workers
 
 from ..usage import UsageError
 from .options import ServeOptions

@@ -180,7 +180,7 @@ function chosenAvatar() {
 /** Return the radius in metres of the circle on which the people of the room stand; 0 while alone. */
 function circle() {
   const found = offer?.rooms?.find(({ name }) => name === settings.get('room'));
-  return found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/seats.py
+  return found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/room.py
 }
 
 let stood = null; // radius of the room of the camera's position

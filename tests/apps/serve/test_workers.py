@@ -12,7 +12,7 @@ from apps.serve.wiring import assemble
 from apps.serve.workers import workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
-from glsplat.extras.workers.options import Workers
+from glsplat.extras.workers.pool import Workers
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.client import Client
 from glsplat.net.served_scene import ServedScene

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.browser.poses.responder import PoseResponder
-from glsplat.extras.rooms.rooms import Rooms
+from glsplat.extras.browser.responder import PoseResponder
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.net.backend import AvatarInfo, Rendered, RenderJob
 from glsplat.net.client_stream import ClientStream, Drawn, PoseAnswer
 from glsplat.net.codec.encoded import Encoded
