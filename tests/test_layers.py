@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from glsplat.net.pages.site import STATIC_IMPORT, page_folders, read_folder
+from glsplat.net.pages import STATIC_IMPORT, page_folders, read_folder
 from tools.without_extra import requirements
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -61,7 +61,7 @@ class ServerConfig:
     private: bool = False  # hide the clients' identities and avatars from everybody
     video: bool = False  # send video instead of JPEGs to clients that accept it (extras/far_links/video.py)
     webtransport: bool = False  # send pictures by datagrams over long links to clients that accept them
-    fit: bool = False  # offer the largest pictures that this machine draws often enough (pace/fitting.py)
+    fit: bool = False  # offer the largest pictures that this machine draws often enough (internal_client.py)
 
 
 _ALL = Rights()

@@ -28,11 +28,10 @@ from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
-from glsplat.net.internal_client import InternalClient
+from glsplat.net.internal_client import Fitted, InternalClient
 from glsplat.net.messages import MAX_MESSAGE_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
-from glsplat.net.pace.fitting import Fitted
-from glsplat.net.pages.routes import set_headers
+from glsplat.net.pages import set_headers
 from glsplat.net.pose_queue import PoseQueue
 from glsplat.net.rights import Rights, user_of
 from glsplat.net.room_view import driven_by

@@ -13,8 +13,8 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.extras.consent.file import OnFile
 from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.extras.speech.analysis import table
 from glsplat.extras.speech.sound import Sound
-from glsplat.extras.speech.table import table
 from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import gl_server
 from glsplat.skinning.expression import ARKIT

@@ -17,7 +17,7 @@ from aiohttp import web
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.operations.history import History
+from glsplat.extras.operations.status import History
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.encoded import Encoded

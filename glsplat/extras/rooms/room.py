@@ -35,6 +35,8 @@ _ARC_PER_PERSON_M = 1.0
 def seat(number: int, seats: int) -> NDArray[np.float64]:
     """Return room from user [4, 4]: the user's origin on the circle, their +z towards its centre.
 
+    The first two seats are opposite each other.
+
     >>> glsplat.extras.rooms.room.seat(0, 2)[:3, 3].round(6).tolist()
     [0.0, 0.0, -1.2]
     """

@@ -124,7 +124,7 @@ class RendererBackend:
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
-                from glsplat.net.backends.depth import depth_grids  # loaded late: it needs a driver, as above
+                from glsplat.net.backends.scene_renderer import depth_grids  # loaded late: it needs a driver, as above
 
                 start = time.perf_counter()
                 depth = depth_grids(renderer, one.views(request))

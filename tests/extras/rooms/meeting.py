@@ -22,7 +22,7 @@ from glsplat.net.render_loop import RenderLoop
 from glsplat.net.reply import Reply, pack_reply, parse_reply
 from glsplat.net.rights import Rights
 from glsplat.net.session import Close, Session, SessionConfig, Warn
-from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import ThreadWorker
 from tests.net.conftest import FakeBackend
 
 __all__ = ["Meeting", "RefusedError"]

@@ -20,7 +20,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.backends.avatar_store import LazyAvatars
 from glsplat.net.served_scene import ServedScene, TrackingOptions, server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import ThreadWorker
 from tests.net.conftest import FakeBackend
 
 

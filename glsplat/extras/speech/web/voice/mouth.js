@@ -1,4 +1,4 @@
-// Visemes to the weights of ARKit's shapes. Twin: glsplat/extras/speech/mouth.py.
+// Visemes to the weights of ARKit's shapes. Twin: glsplat/extras/speech/speaking.py.
 
 /** One mouth. It is at rest in silence. */
 export class Mouth {

@@ -19,8 +19,8 @@ from glsplat.extras.watermark.keys import WATERMARK, read_watermark
 from glsplat.io.files import open_regular
 from glsplat.net.guard.state_dir import state_folder
 
-from ..args import whole
-from ..usage import UsageError
+from .args import whole
+from .usage import UsageError
 
 HELP = "Find the invisible watermark in pictures of `glsplat serve`, which identifies the session."
 EXAMPLE = "glsplat watermark detect leaked.mp4"
