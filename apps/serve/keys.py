@@ -11,13 +11,13 @@ from glsplat.errors import GlsplatError
 from glsplat.net.guard.access import is_loopback, read_token, server_tls
 from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
+from glsplat.net.rights import Accounts
 from glsplat.optional import has_extra, missing, require_package
 
 from ..usage import UsageError
 from .options import ServeOptions, naming_option
 
 if TYPE_CHECKING:
-    from glsplat.net.rights import Accounts
     from glsplat.net.session import WatermarkKey
 
 

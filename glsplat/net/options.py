@@ -7,17 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, radians
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.rights import Rights
+from glsplat.net.rights import Consent, Rights, User
 from glsplat.net.session import SessionConfig
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import Consent, User
 
 DEFAULT_SEATS = 8
 """Seats of a room that configures none."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from aiohttp import web
 
@@ -33,12 +33,9 @@ from glsplat.net.messages import MAX_MESSAGE_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
 from glsplat.net.pages import set_headers
 from glsplat.net.pose_queue import PoseQueue
-from glsplat.net.rights import Rights, user_of
+from glsplat.net.rights import Rights, User, user_of
 from glsplat.net.room_view import driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 F = TypeVar("F", bound=Feature)

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aiohttp import web
 
@@ -16,10 +16,7 @@ from glsplat.extras.browser.responder import PoseResponder
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.options import ServerConfig
-from glsplat.net.rights import user_of
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
+from glsplat.net.rights import User, user_of
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 

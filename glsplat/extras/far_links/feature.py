@@ -10,11 +10,11 @@ from glsplat.extras.far_links.datagrams.way import SecondWay
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.options import RequestedOptions, ServerConfig
+from glsplat.net.rights import User
 from glsplat.optional import require_package
 
 if TYPE_CHECKING:
     from glsplat.extras.far_links.datagrams.listener import DatagramListener
-    from glsplat.net.rights import User
 
 
 class Datagrams(Feature):

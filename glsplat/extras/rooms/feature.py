@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from glsplat.camera import Camera
 from glsplat.errors import PoseError
@@ -17,12 +17,10 @@ from glsplat.net.codec.body import PoseHistory, Poses
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.messages import Request
 from glsplat.net.options import RequestedOptions, RoomError, ServerConfig
+from glsplat.net.rights import User
 from glsplat.net.room_view import RoomView
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.skinning.pose import Pose
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
 
 
 @dataclass(frozen=True, slots=True, eq=False)

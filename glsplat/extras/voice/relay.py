@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
@@ -20,10 +20,8 @@ from glsplat.net.client_stream import ClientStream
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.options import RequestedOptions
+from glsplat.net.rights import User
 from glsplat.optional import has_extra, missing
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
 
 _ADDRESS = re.compile(r"(?:stuns?|turns?):(?:[\w.-]+|\[[0-9A-Fa-f:]+\])(?::\d{1,5})?(?:\?transport=(?:udp|tcp))?")
 _PASSWORD_S = 12 * 3600  # seconds for which a password is valid; a call that lasts longer goes on

@@ -23,9 +23,10 @@ from glsplat.net.client_stream import Answer, ClientStream, Outgoing
 from glsplat.net.guard.fault_tracker import FaultTracker
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.render_loop import RenderLoop
+from glsplat.net.worker.connection import WorkerLauncher
 from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.process import ProcessLauncher
-from glsplat.net.worker.remote import RemoteWorker, WorkerLauncher
+from glsplat.net.worker.remote import RemoteWorker
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 

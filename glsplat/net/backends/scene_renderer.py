@@ -15,9 +15,8 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.extent import FigureBounds
-from glsplat.net.codec.depth import GRID_SIDE, DepthGrid, grid_of
+from glsplat.net.codec.encoded import GRID_SIDE, DepthGrid, grid_of
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.renderer.checks import checked_pose
@@ -26,6 +25,9 @@ from glsplat.scene import Item, Rigged, Scene, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
 
+_FULL_SHARE_PIXELS = 2 * 2048 * 2048  # of a picture whose full cost others may use; in proportion for smaller ones
+_ONE_PERSON = 0.5  # limit for one person, as a share of the limit for all others
+_MIN_SPLAT_PIXELS = 64  # covered pixels of each splat and view that are granted in any picture: four blocks
 _MIN_ALPHA = 0.1  # of a point that has a depth: the depth of a partly covered pixel is better than an interpolated one
 
 
@@ -272,6 +274,18 @@ class SceneRenderer:
             shown = self._people[one.key]
             if shown is not None:
                 shown.set_layers(_own(index), one.opacity > 0 and one.key not in out)
+
+
+def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bool = False) -> float:
+    """Return the covered pixels that a room's other people, of that many ``splats``, may add to a viewer's picture.
+
+    The limit is for all of them, or for ``each``. A person whose eyes nearly touch the viewer's needs four fifths of
+    the limit for one, a circle of eight people two fifths of the limit for all (docs/protocol.md, section 5). So only
+    people who crowd others reach a limit.
+    """
+    pixels = sum(view.width * view.height for view in views)
+    share = (_ONE_PERSON if each else 1.0) * max_cost * pixels / _FULL_SHARE_PIXELS
+    return max(share, float(_MIN_SPLAT_PIXELS * len(views) * splats))
 
 
 def _hides_head(job: RenderJob) -> bool:

@@ -16,7 +16,7 @@ from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.scene_renderer import depth_grids
-from glsplat.net.codec.depth import GRID_SIDE, grid_of
+from glsplat.net.codec.encoded import GRID_SIDE, grid_of
 from glsplat.net.reply import parse_reply
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.process import process_worker
