@@ -159,7 +159,7 @@ CONSTANTS: dict[str, dict[str, str]] = {
         "to # kHz": "glsplat.extras.speech.analysis:MAX_RATE_HZ / 1000",
         "moves by more than #,": "glsplat/extras/speech/web/voice/voice.js:LEAP",
         "at most every # ms": "glsplat/net/web/show/viewer.js:APART",
-        "(not below #)": "glsplat/extras/speech/web/voice/hurry.js:LEAST",
+        "(not below #)": "glsplat/extras/speech/web/voice/panel.js:LEAST",
     },
     "webgl.md": {
         "room would be # times as fast": "glsplat/extras/browser/web/draw/choice.js:GAIN",

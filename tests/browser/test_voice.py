@@ -28,8 +28,8 @@ from tests.extras.speech.sounds import vowels, wav_bytes
 
 MAIN = """
 import { ARKIT } from '/vr/draw/crowd.js';
-import { Hurry } from '/vr/voice/hurry.js';
-import { OwnFace } from '/vr/voice/own-face.js';
+import { Hurry } from '/vr/voice/panel.js';
+import { OwnFace } from '/vr/show/here.js';
 window.sides = (side, steps) => {
   const hurry = new Hurry();
   return steps.map(([speaks, render, now, seen]) => hurry.side(side, speaks, { render, encode: 10 }, now, seen));

@@ -8,8 +8,7 @@ import { Orbit } from './show/orbit.js';
 import { Stage } from './show/stage.js';
 import { Viewer } from './show/viewer.js';
 import { Immersive, support } from './show/xr.js';
-import { NAME, Settings } from './settings.js';
-import { SPLATS_CACHE, browserStorage } from './storage.js';
+import { NAME, SPLATS_CACHE, Settings, browserStorage } from './settings.js';
 import { Connection } from './stream/connection.js';
 import { Tabs } from './stream/tabs.js';
 import { Calibration, EYES_OF_STATURE } from './track/calibration.js';
@@ -115,7 +114,7 @@ const addTalk = once(async () => {
 });
 
 const addPhoto = once(async () => {
-  const { addPhoto: add } = await import('./photo/photo.js');
+  const { addPhoto: add } = await import('./photo/form.js');
   photo = await add(document.getElementById('no-photo'), connection, {
     async wear(name) {
       await askOffer();
