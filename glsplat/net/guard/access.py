@@ -15,12 +15,15 @@ import ssl
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from glsplat.errors import GlsplatError
 from glsplat.io.secret_files import warn_if_exposed
 from glsplat.net.guard.forwarded import Network
-from glsplat.net.rights import Accounts
+
+if TYPE_CHECKING:
+    from glsplat.net.rights import Accounts
 
 SUBPROTOCOL = "glsplat.v1"
 TOKEN_PREFIX = "token."  # browsers cannot set headers on a WebSocket: they offer "glsplat.v1" and "token.SECRET"
