@@ -23,7 +23,7 @@ from glsplat.gl.software import is_software
 from glsplat.net.backend import RenderJob, Solved
 from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Refused, Taken
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.addresses import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
 from glsplat.net.pace.fair_queue import FairQueue

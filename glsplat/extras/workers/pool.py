@@ -20,7 +20,7 @@ from glsplat.extras.workers.cluster import RayCluster
 from glsplat.extras.workers.placement import PlacedClient, PlacedWorker, better, choose
 from glsplat.net.backend import Backend
 from glsplat.net.client_stream import Answer, ClientStream, Outgoing
-from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.addresses import FaultTracker
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.worker.connection import WorkerLauncher

@@ -12,8 +12,7 @@ import { NAME, SPLATS_CACHE, Settings, browserStorage } from './settings.js';
 import { Connection } from './stream/connection.js';
 import { Tabs } from './stream/tabs.js';
 import { Calibration, EYES_OF_STATURE } from './track/calibration.js';
-import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
-import { Living } from './track/living.js';
+import { Living, Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Recorder } from './track/recorder.js';
 import { STRIDE, Steps, TURN } from './track/steps.js';
 
