@@ -67,8 +67,8 @@ All commands: glsplat --help. Details of one: glsplat COMMAND --help.
 """
 """Printed by ``glsplat`` without a command."""
 
-_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "selftest", "serve", "study", "tracking", "users")
-MODULES = {name: f"{name}.command" for name in (*_FOLDERS, "watermark")} | {"page": "webpage.command"}
+_FOLDERS = ("avatar", "evaluate", "preview", "replay", "report", "selftest", "serve", "study", "tracking")
+MODULES = {name: f"{name}.command" for name in _FOLDERS} | {"page": "webpage"}
 """Modules of commands that are folders, or have another name than the command."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from glsplat.net.pages.site import page_files
+from glsplat.net.pages import page_files
 
 __all__ = ["write_modules"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from glsplat.extras.consent.document import ANYBODY
 from glsplat.extras.consent.file import sign_data
-from glsplat.extras.consent.state import kept_key
+from glsplat.extras.consent.keys import kept_key
 from glsplat.io.files import replace_file
 from glsplat.net.guard.state_dir import state_folder
 

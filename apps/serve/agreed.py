@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from glsplat.errors import GlsplatError
 from glsplat.extras.consent.document import ANYBODY
 from glsplat.extras.consent.file import OnFile, on_file, on_file_data, sign_data
-from glsplat.extras.consent.keys import PrivateKey, public_key
+from glsplat.extras.consent.keys import PrivateKey, kept_key, known_key, public_key
 from glsplat.extras.consent.policy import ConsentPolicy
-from glsplat.extras.consent.state import kept_key, known_key
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.state_dir import state_folder

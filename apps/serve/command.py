@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING
 from glsplat.config import RenderConfig
 from glsplat.data import DEFAULT, PEOPLE, embedded_file
 from glsplat.errors import ContextError
-from glsplat.net.guard.access import Access
+from glsplat.formats.scene_file import SceneFile, load_scene
+from glsplat.net.guard.access import Access, read_token
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.options import ServerConfig
+from glsplat.net.options import DEFAULT_SEATS, ServerConfig
 from glsplat.net.served_scene import ServedScene, TrackingOptions
 from glsplat.net.server import Server
 from glsplat.net.session import SessionConfig
 from glsplat.optional import has_extra
-from glsplat.scene import Rigged
+from glsplat.scene import Rigged, Scene
 
 from ..args import detail_of, load_avatar, open_scene
 from ..logs import start_logging
@@ -31,10 +32,11 @@ from .keys import Keys, keys_of, watermark_of
 from .options import ServeOptions, add_options, check_given, naming_option
 from .options import parsed as parsed  # apps/cli.py parses with it
 from .ready import Endpoint, announce, open_page
-from .rooms import check_rooms, lit_rooms, open_rooms, voice_of
 
 if TYPE_CHECKING:
-    from glsplat.extras.speech.face.listener import FaceListener
+    from glsplat.extras.speech.face import FaceListener
+    from glsplat.extras.voice import Voice
+    from glsplat.extras.workers.pool import Workers
     from glsplat.net.session import WatermarkKey
 
     from .study import ServedStudy
@@ -47,6 +49,8 @@ HELP = (
 )
 EXAMPLE = "glsplat serve me.glb --port 8000"
 SEE = "--write-config"
+
+_MAX_WORKERS = 64
 
 add_arguments = add_options
 
@@ -133,6 +137,75 @@ def other_avatars(args: ServeOptions) -> dict[str, Rigged]:
     return found
 
 
+def check_rooms(args: ServeOptions) -> None:
+    """Raise UsageError for two rooms of one name, and for more seats than clients may connect."""
+    names = [room.name for room in args.room]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f'{args.label("room")} {name}: there are two rooms called "{name}"; people choose by name')
+    for room in args.room:
+        if room.seats > args.max_clients and room.seats != DEFAULT_SEATS:
+            raise UsageError(
+                f"{args.label('room')} {room.name}: {room.seats} people need max-clients = {room.seats} or more"
+            )
+
+
+def lit_rooms(rooms: dict[str, SceneFile], scene: SceneFile) -> dict[str, SceneFile]:
+    """Return the rooms; those whose file has no light get that of the server's ``scene``."""
+    for room in rooms.values():
+        room.scene.light = room.scene.light or scene.scene.light
+    return rooms
+
+
+def open_rooms(args: ServeOptions) -> dict[str, SceneFile]:
+    """Return the scene of each room, by name. Raises GlsplatError naming the file that cannot be read."""
+    with naming_option(args, "room"):
+        return {
+            room.name: SceneFile.of(Scene()) if room.scene is None else load_scene(room.scene, strict=args.strict)
+            for room in args.room
+        }
+
+
+def voice_of(args: ServeOptions) -> Voice:
+    """Return the feature of --voice. Raises GlsplatError naming the option or the file that does not fit."""
+    from glsplat.extras.voice import IceServers, Voice  # here: few servers have voice
+
+    with naming_option(args, "turn-secret-file"):
+        secret = "" if args.turn_secret_file is None else read_token(args.turn_secret_file)
+    with naming_option(args, "ice"):
+        return Voice(IceServers(args.ice, secret, args.relay_only))
+
+
+def workers_of(args: ServeOptions) -> Workers | None:
+    """Return the workers of --workers; None where the server itself draws.
+
+    Raises UsageError, and GlsplatError where Ray is not installed.
+    """
+    if args.workers is None:
+        return None
+    from glsplat.extras.workers.cluster import require_ray  # here: few servers have workers
+    from glsplat.extras.workers.pool import Workers
+
+    kind, _, number = args.workers.partition(":")
+    ray = kind == "ray"
+    if args.ray_address is not None and not ray:
+        raise UsageError("ray-address is for --workers ray")
+    text = number if ray else args.workers
+    if (
+        (text or not ray) and not (text.isascii() and text.isdigit() and 1 <= int(text) <= _MAX_WORKERS)
+    ) or args.workers == "ray:":
+        raise UsageError(f"{args.label('workers')} needs 1 to {_MAX_WORKERS}, ray, or ray:N, not {args.workers!r:.40}")
+    if ray:
+        require_ray()
+    return Workers(
+        count=int(text) if text else None,
+        ray=ray,
+        cpus=args.worker_cpus,
+        gpus=args.worker_gpus,
+        address=args.ray_address,
+    )
+
+
 def run(args: ServeOptions) -> int:
     """Serve until SIGINT or SIGTERM; 0 after an orderly stop."""
     start_logging(args.log_format, logging.INFO if args.verbose else logging.WARNING)
@@ -175,8 +248,7 @@ def _face_listener(args: ServeOptions) -> FaceListener | None:
     """Return what listens at the port of face-osc. Raises GlsplatError where it is in use."""
     if args.face_osc is None:
         return None
-    from glsplat.extras.speech.face.feed import FaceFeed
-    from glsplat.extras.speech.face.listener import FaceListener
+    from glsplat.extras.speech.face import FaceFeed, FaceListener
 
     return FaceListener(FaceFeed(), args.face_osc)
 
@@ -186,11 +258,7 @@ def _server(args: ServeOptions, keys: Keys, face: FaceListener | None, study: Se
     from .agreed import policy_of, signing  # here: it needs extras/consent
     from .wiring import assemble
 
-    workers = uploads = None
-    if args.workers is not None:
-        from .workers import workers_of
-
-        workers = workers_of(args)
+    workers, uploads = workers_of(args), None
     if args.allow_upload is not None:
         from .photos import upload_config
 

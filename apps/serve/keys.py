@@ -11,13 +11,13 @@ from glsplat.errors import GlsplatError
 from glsplat.net.guard.access import is_loopback, read_token, server_tls
 from glsplat.net.guard.host_info import machine_names, reachable_at
 from glsplat.net.guard.state_dir import TOKEN, kept_token, state_folder
+from glsplat.net.rights import Accounts
 from glsplat.optional import has_extra, missing, require_package
 
 from ..usage import UsageError
 from .options import ServeOptions, naming_option
 
 if TYPE_CHECKING:
-    from glsplat.net.rights import Accounts
     from glsplat.net.session import WatermarkKey
 
 
@@ -81,8 +81,7 @@ def watermark_of(args: ServeOptions) -> WatermarkKey | None:
     if args.watermark is None and not has_extra("watermark"):
         log.warning("pictures are not marked: %s", missing("watermark", "a watermark"))
         return None
-    from glsplat.extras.watermark.keys import read_watermark
-    from glsplat.extras.watermark.state import kept_watermark
+    from glsplat.extras.watermark.keys import kept_watermark, read_watermark
 
     if args.watermark not in (None, "on"):
         with naming_option(args, "watermark"):

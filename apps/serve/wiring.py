@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from glsplat.data import person
 from glsplat.errors import GlsplatError
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.backends.avatar_store import AvatarStore, LazyAvatars
+from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.backends.gl import MAX_PICTURE_S
 from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
@@ -26,7 +26,7 @@ from glsplat.scene import Rigged
 if TYPE_CHECKING:
     from glsplat.extras.consent.policy import ConsentPolicy
     from glsplat.extras.uploads.job import UploadConfig
-    from glsplat.extras.workers.options import Workers
+    from glsplat.extras.workers.pool import Workers
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -53,13 +53,13 @@ def assemble(
     offers = served.offers()
     choices: Mapping[str, Rigged] = served.avatars
     if uploads is not None:
-        choices = AvatarStore(served.avatars, uploads.folder, served.name)
         feature, kept = _uploads(uploads, served, consent)
         features = (feature, *features)
         offers += kept
     log_limits(offers)
-    if people:
-        choices = LazyAvatars(choices, people)
+    if people or uploads is not None:
+        folder = None if uploads is None else uploads.folder
+        choices = AvatarStore(served.avatars, folder, served.name, people)
     devices = [device] if workers is None or device is None else device.split(",")
     more: dict[str, Any] = {"avatars": choices, "max_cost": max_cost, "max_time": max_time}
     if workers is not None:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, PoseError
-from glsplat.net.codec.depth import DepthGrid
+from glsplat.net.codec.encoded import DepthGrid, Encoded
 from glsplat.net.messages import Request
+from glsplat.net.room_view import RoomView
 from glsplat.net.wire_schema import DEFAULT_OPTIONS, PictureOptions
 from glsplat.scene import similarity
 from glsplat.skinning.pose import Pose
@@ -21,8 +22,6 @@ from glsplat.skinning.skeleton import Skeleton
 if TYPE_CHECKING:
     import asyncio
 
-    from glsplat.net.codec.encoded import Encoded
-    from glsplat.net.room_view import RoomView
     from glsplat.renderer.resolve import ResolveStep
 
 
@@ -41,7 +40,7 @@ class RenderJob:
     detail: float = 0.0  # added to RenderConfig.lod_bias: below 0 for coarser levels
     notice: str = ""  # written into the picture
     mark: ResolveStep | None = None  # the watermark of the session
-    others: float = 1.0  # factor on the cost limit of a room's other people (budget.others_share); 0 hides them
+    others: float = 1.0  # factor on the cost limit of a room's other people (scene_renderer.others_share); 0 hides them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

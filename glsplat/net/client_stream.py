@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +14,15 @@ from glsplat.camera import Camera
 from glsplat.errors import PoseError
 from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.codec.body import PoseHistory, Poses
-from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.codec.encoded import Encoded
+from glsplat.net.codec.encoded import DepthGrid, Encoded
 from glsplat.net.guard.limits import CpuShare
 from glsplat.net.messages import Request, eye_fields
 from glsplat.net.pace.adaptive_quality import FULL, Detail
 from glsplat.net.pose_queue import PoseQueue, SolutionFuture
+from glsplat.net.room_view import RoomView
 from glsplat.net.session import Session
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.encoding import ClientVideo
-
-if TYPE_CHECKING:
-    from glsplat.net.room_view import RoomView
 
 ANYTHING = AvatarInfo(name="")
 
@@ -210,14 +207,8 @@ class Refused:
     ends: str = ""  # why the connection ends afterwards and the address is held off; "": it does not
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Redraw:
-    """A picture whose worker was lost. It keeps its position among the answers and is drawn again."""
-
-    taken: Taken
-
-
-Answer = Drawn | PoseAnswer | Refused | Redraw
+Answer = Drawn | PoseAnswer | Refused | Taken
+"""``Taken``: a picture whose worker was lost. It keeps its position among the answers and is drawn again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ The server calls its hooks on the event loop. A hook does nothing unless a featu
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from aiohttp import web
 
@@ -17,9 +17,7 @@ from glsplat.net.guard.gate import Gate
 from glsplat.net.guard.limits import Limits
 from glsplat.net.internal_client import InternalClient
 from glsplat.net.options import RequestedOptions, ServerConfig
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
+from glsplat.net.rights import User
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 

@@ -7,17 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, radians
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from glsplat.errors import ProtocolError
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.rights import Rights
+from glsplat.net.rights import Consent, Rights, User
 from glsplat.net.session import SessionConfig
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import Consent, User
 
 DEFAULT_SEATS = 8
 """Seats of a room that configures none."""
@@ -61,7 +57,7 @@ class ServerConfig:
     private: bool = False  # hide the clients' identities and avatars from everybody
     video: bool = False  # send video instead of JPEGs to clients that accept it (extras/far_links/video.py)
     webtransport: bool = False  # send pictures by datagrams over long links to clients that accept them
-    fit: bool = False  # offer the largest pictures that this machine draws often enough (pace/fitting.py)
+    fit: bool = False  # offer the largest pictures that this machine draws often enough (internal_client.py)
 
 
 _ALL = Rights()

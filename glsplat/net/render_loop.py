@@ -21,9 +21,9 @@ from typing import Any, Protocol
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.gl.software import is_software
 from glsplat.net.backend import RenderJob, Solved
-from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Redraw, Refused, Taken
+from glsplat.net.client_stream import Answer, ClientStream, Drawn, Outgoing, Refused, Taken
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.addresses import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.pace.adaptive_quality import AdaptiveQuality
 from glsplat.net.pace.fair_queue import FairQueue
@@ -248,8 +248,8 @@ class RenderLoop:
     async def _encoded(self, client: ClientStream, answer: Answer) -> tuple[Drawn, Encoded] | Refused:
         """Return a picture once it is drawn and encoded; it is drawn again where its worker is lost."""
         while not isinstance(answer, Refused):
-            if isinstance(answer, Redraw):
-                answer = await client.redraw(answer.taken)
+            if isinstance(answer, Taken):
+                answer = await client.redraw(answer)
                 continue
             assert isinstance(answer, Drawn)
             taken = answer.taken
@@ -258,7 +258,7 @@ class RenderLoop:
             except Exception as error:
                 taken = replace(taken, losses=taken.losses + 1)
                 if isinstance(error, ContextLostError) and taken.losses < _MAX_LOSSES:
-                    answer = Redraw(taken)
+                    answer = taken
                 else:
                     log.exception("frame %s of client %d could not be encoded", taken.request.frame_id, client.number)
                     answer = Refused(taken.request, "encode", "the picture could not be encoded")
@@ -358,7 +358,7 @@ class RenderLoop:
 
     # -------------------------------------------------------------------------------------------------------- drawing
 
-    async def _answer(self, taken: Taken) -> Drawn | Redraw | Refused:
+    async def _answer(self, taken: Taken) -> Drawn | Taken | Refused:
         job = None
         try:
             if taken.solution is not None and not taken.solution.done():
@@ -453,7 +453,7 @@ class RenderLoop:
         self._faults.suspect_others(client.address, self.clock(), slow=isinstance(error, BudgetError))
         return replace(taken, alone=True)
 
-    def _failed(self, taken: Taken, error: Exception, others: bool) -> Redraw | Refused:
+    def _failed(self, taken: Taken, error: Exception, others: bool) -> Taken | Refused:
         """Return the answer to a request whose picture failed; ``others``: it had other people of a room in it."""
         client, request, again, ends = taken.client, taken.request, None, ""
         if isinstance(error, PoseError):
@@ -469,7 +469,7 @@ class RenderLoop:
         number = request.frame_id
         if again is not None:
             log.warning("frame %s of client %d is drawn again: %s: %s", number, client.number, self.worker.name, error)
-            return Redraw(again)
+            return again
         self.failures += 1
         trace = None if isinstance(error, GlsplatError) else error
         log.error("frame %s of client %d could not be drawn: %s", number, client.number, error, exc_info=trace)
@@ -541,7 +541,7 @@ def _shows_others(job: RenderJob) -> bool:
 def _others_may_be_at_fault(error: Exception) -> bool:
     """Return whether to draw a picture again without the other people in it.
 
-    The cost of their splats is limited beforehand (backends/budget.py), so ``too_costly`` is the viewer's own fault.
+    The cost of their splats is limited beforehand (``others_share``), so ``too_costly`` is the viewer's own fault.
     """
     own = isinstance(error, PoseError | FormatError | ContextLostError)
     return not own and getattr(error, "code", "") not in ("too_costly", "abandoned")

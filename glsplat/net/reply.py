@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 
 from glsplat.errors import ProtocolError
 from glsplat.net.codec.body import PersonPose, unpack_bodies
+from glsplat.net.codec.encoded import DepthGrid, read_grids
 from glsplat.net.messages import VERSION
-
-if TYPE_CHECKING:
-    from glsplat.net.codec.depth import DepthGrid
 
 _HEAD = struct.Struct("<2sHIB")
 _EYE = struct.Struct("<BI")
@@ -174,8 +172,6 @@ def _multiplied(image: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
 
 def _depth(fields: Any, data: bytes) -> tuple[DepthGrid, ...]:
-    from glsplat.net.codec.depth import read_grids  # loaded late: most replies have none
-
     try:
         return read_grids(fields, data)
     except (KeyError, TypeError, ValueError) as error:

@@ -20,13 +20,12 @@ from glsplat.net.drawer import Drawer
 from glsplat.net.feature import Feature
 from glsplat.net.messages import PARTS
 from glsplat.net.options import DEFAULT_SEATS, NAME, ServerConfig
-from glsplat.net.pages.routes import Pages
+from glsplat.net.pages import Pages
 from glsplat.net.render_loop import RenderLoop
 from glsplat.net.server import Server
 from glsplat.net.worker.encoding import PictureEncoder
 from glsplat.net.worker.process import process_worker
-from glsplat.net.worker.thread import ThreadWorker
-from glsplat.net.worker.worker import Worker
+from glsplat.net.worker.worker import ThreadWorker, Worker
 from glsplat.optional import missing, plugin
 from glsplat.scene import Rigged, SceneLike, is_rigged
 from glsplat.skinning.driven import why_not_driven, why_not_tracked

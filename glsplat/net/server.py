@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from aiohttp import web
 
@@ -28,18 +28,14 @@ from glsplat.net.guard.access import server_tls
 from glsplat.net.guard.gate import Gate, connection_of
 from glsplat.net.guard.limits import ClientQuota, CpuBudget
 from glsplat.net.guard.listener import bind
-from glsplat.net.internal_client import InternalClient
+from glsplat.net.internal_client import Fitted, InternalClient
 from glsplat.net.messages import MAX_MESSAGE_BYTES, Decoder, WireOptions
 from glsplat.net.options import NOT_ALLOWED, RoomError, ServerConfig, client_options
-from glsplat.net.pace.fitting import Fitted
-from glsplat.net.pages.routes import set_headers
+from glsplat.net.pages import set_headers
 from glsplat.net.pose_queue import PoseQueue
-from glsplat.net.rights import Rights, user_of
+from glsplat.net.rights import Rights, User, user_of
 from glsplat.net.room_view import driven_by
 from glsplat.net.session import GOING_AWAY, Counts, Session
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 F = TypeVar("F", bound=Feature)

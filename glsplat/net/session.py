@@ -18,11 +18,11 @@ from glsplat.errors import ProtocolError
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.guard.meter import POLICY_VIOLATION, Breach
 from glsplat.net.messages import MAX_ID, Ack, Decoder, Request, error_text
+from glsplat.net.pace.ladder import Rung
 from glsplat.net.wire_schema import Arrival
 from glsplat.optional import missing, plugin
 
 if TYPE_CHECKING:
-    from glsplat.net.pace.ladder import Rung
     from glsplat.renderer.resolve import ResolveStep
 
     class Watermark(ResolveStep, Protocol):
@@ -392,7 +392,8 @@ class Session:
                 self.link.forget(frame_id)
             return
         if self.link is None:
-            self.link = _link_control(self.config.bitrate)
+            module = _link_module()
+            self.link = None if module is None else module.LinkControl(self.config.bitrate)
         if self.link is not None:
             self.link.acknowledged(frame_id, arrival.age / 1e3, arrival.held / 1e3, now)
 
@@ -407,12 +408,7 @@ class Session:
         return Warn(error_text("rate", f"at most {self.config.rate:g} messages a second are read"))
 
 
-def _link_control(bitrate: float | None) -> LinkControl | None:
-    """Return the control of a new client's link; None where extras/far_links is not installed."""
-    module = _link_module()
-    return None if module is None else module.LinkControl(bitrate)
-
-
 @cache
 def _link_module() -> ModuleType | None:
+    """Return the module that controls clients' links; None where extras/far_links is not installed."""
     return plugin("far_links.link_control")

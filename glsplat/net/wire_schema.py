@@ -42,7 +42,7 @@ MAX_FACES = 16  # of a request
 MAX_CODECS = 8  # of a request
 
 Alpha = bool | Literal["straight"]
-"""Whether alpha is sent, too; colours are premultiplied (over black), or "straight" (codec/straight.py)."""
+"""Whether alpha is sent, too; colours are premultiplied (over black), or "straight" (codec/encode.py)."""
 
 Want = Literal["picture", "pose"]
 """The answer to a request: a picture, or the poses of people whom the client draws itself."""

@@ -24,8 +24,8 @@ from glsplat.extras.authoring.finish.cones import ConeConfig
 from glsplat.extras.authoring.models import store
 from glsplat.extras.authoring.reconstruct import mesh_from_photos, registry
 from glsplat.extras.consent.file import on_file
+from glsplat.extras.consent.keys import known_key
 from glsplat.extras.consent.policy import ConsentPolicy
-from glsplat.extras.consent.state import known_key
 from glsplat.formats import load
 from glsplat.meshes import RiggedMesh
 from glsplat.net.guard.state_dir import state_folder

@@ -57,7 +57,7 @@ def test_nobody_is_given_away_without_having_agreed(tmp_path: Path, capsys: pyte
 def test_a_full_disk_leaves_no_page_that_lacks_something(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from apps.webpage import command
+    from apps import webpage as command
 
     kept = command.replace_file
 
@@ -73,7 +73,7 @@ def test_a_full_disk_leaves_no_page_that_lacks_something(
 
 def test_motions_of_a_rig_that_is_not_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own joints move; embedded motions that do not fit are left out."""
-    from apps.webpage import command
+    from apps import webpage as command
 
     rod = replace(limb(60), meta={"source": "made here", "licence": "CC0"})
     monkeypatch.setattr(command, "default_avatar", lambda: rod)

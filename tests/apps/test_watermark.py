@@ -17,9 +17,8 @@ from apps.serve import command as serve
 from apps.serve import keys
 from apps.serve.keys import watermark_of
 from glsplat.errors import GlsplatError
-from glsplat.extras.watermark.keys import text_of
+from glsplat.extras.watermark.keys import WATERMARK, kept_watermark, text_of
 from glsplat.extras.watermark.mark import Watermark, WatermarkKey, marked
-from glsplat.extras.watermark.state import WATERMARK, kept_watermark
 from glsplat.net.guard.state_dir import state_folder
 from tests.apps.cli import mistake, serving
 

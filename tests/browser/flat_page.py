@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from glsplat.net.pages.site import page_files
+from glsplat.net.pages import page_files
 
 WEB = page_files()
 ORIGIN = "http://localhost:8000"

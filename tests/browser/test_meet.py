@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from glsplat.extras.rooms.rooms import Rooms
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage

@@ -14,7 +14,7 @@ from glsplat.data import default_avatar
 from glsplat.extras.operations.certificate import kept_certificate
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.state_dir import kept_token, state_folder
-from glsplat.net.pages.site import page_folders, read_folder
+from glsplat.net.pages import page_folders, read_folder
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
@@ -104,7 +104,7 @@ def test_the_core_s_page_works_without_the_files_of_extras(
     open_page: OpenPage, serve: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     core = dict(read_folder(page_folders()[""]))
-    monkeypatch.setattr("glsplat.net.pages.routes.page_files", lambda: core)
+    monkeypatch.setattr("glsplat.net.pages.page_files", lambda: core)
     page = visit(open_page, serve(StoredPairs()))
     page.until("window.glsplat.stats().shown > 5")
     time.sleep(1)  # what extras bring would be asked for by now; a file that is not there fails the test

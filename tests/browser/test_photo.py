@@ -199,7 +199,7 @@ def test_a_picture_over_the_limit_is_made_smaller_and_others_are_sent_as_they_ar
     small = picture("x" * 100)
     got = page.js(
         """async ([small, large]) => {
-          const { fitted } = await import('/vr/photo/shrink.js');
+          const { fitted } = await import('/vr/photo/upload.js');
           const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
           const file = (text) => new File([bytes(text)], 'a', { type: 'image/jpeg' });
           const kept = await fitted(file(small), 30000);

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.camera import Camera
-from glsplat.extras.rooms.rooms import Rooms
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.server import ServerConfig
 from glsplat.skinning.skeleton import Skeleton

@@ -11,7 +11,7 @@ import pytest
 
 from glsplat.extras.far_links.video import CODECS, VideoStream
 from glsplat.net.codec.encoded import Encoded
-from glsplat.net.pages.site import page_files
+from glsplat.net.pages import page_files
 from glsplat.net.server import ServerConfig
 from tests.browser.conftest import OpenPage
 from tests.browser.markers import offered
@@ -113,7 +113,7 @@ def test_a_browser_whose_decoder_fails_gets_jpegs(
 ) -> None:
     files = page_files()
     files["stream/video.js"] += b"VideoDecoder.prototype.decode = () => { throw new Error('no') };"
-    monkeypatch.setattr("glsplat.net.pages.routes.page_files", lambda: files)
+    monkeypatch.setattr("glsplat.net.pages.page_files", lambda: files)
     page = visit(open_page, serve(StoredPairs(), ServerConfig(port=0, video=True), offered=offered))
     page.until("window.glsplat?.stats().shown > 5", timeout=60)
     assert sum(one["key"] for one in coded) >= 3

@@ -13,8 +13,8 @@ import pytest
 from glsplat.data import default_avatar
 from glsplat.extras.consent.file import OnFile
 from glsplat.extras.consent.policy import ConsentPolicy
+from glsplat.extras.speech.analysis import table
 from glsplat.extras.speech.sound import Sound
-from glsplat.extras.speech.table import table
 from glsplat.net.options import ServerConfig
 from glsplat.net.served_scene import gl_server
 from glsplat.skinning.expression import ARKIT
@@ -28,8 +28,8 @@ from tests.extras.speech.sounds import vowels, wav_bytes
 
 MAIN = """
 import { ARKIT } from '/vr/draw/crowd.js';
-import { Hurry } from '/vr/voice/hurry.js';
-import { OwnFace } from '/vr/voice/own-face.js';
+import { Hurry } from '/vr/voice/panel.js';
+import { OwnFace } from '/vr/show/here.js';
 window.sides = (side, steps) => {
   const hurry = new Hurry();
   return steps.map(([speaks, render, now, seen]) => hurry.side(side, speaks, { render, encode: 10 }, now, seen));

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from apps.serve.rooms import lit_rooms
+from apps.serve.command import lit_rooms
 from glsplat.data import default_avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.visibility import sphere

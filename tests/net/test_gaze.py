@@ -11,7 +11,7 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.errors import ProtocolError
-from glsplat.extras.rooms.member import Member
+from glsplat.extras.rooms.feature import Member
 from glsplat.extras.rooms.room import Room
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import Decoder, Request, eye_fields

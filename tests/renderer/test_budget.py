@@ -7,7 +7,7 @@ import pytest
 
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import BudgetError
-from glsplat.net.backends.budget import PictureBudget
+from glsplat.net.backends.gl import PictureBudget
 from glsplat.renderer.draw import DrawPass
 from glsplat.splats import Splats
 

@@ -14,7 +14,7 @@ from glsplat.camera import Camera
 from glsplat.config import RenderConfig, with_fields
 from glsplat.errors import BudgetError, ContextError
 from glsplat.gl.context import Context
-from glsplat.net.backends.budget import PictureBudget
+from glsplat.net.backends.gl import PictureBudget
 from glsplat.renderer import Renderer, draw, gpu_scene, pipeline
 from glsplat.scene import Item, Scene
 from glsplat.shaders import Variant

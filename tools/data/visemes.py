@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from apps.progress import each
 from glsplat.arrays import F32
-from glsplat.extras.speech.cepstra import Cepstra
-from glsplat.extras.speech.table import Framing
+from glsplat.extras.speech.analysis import Cepstra, Framing
 from tools.data.spoken import LEARNED
 from tools.data.voices import Said, espeak, flite
 

@@ -24,8 +24,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from random import Random
 
-from glsplat.extras.far_links.datagrams.packets import PIECE
-from glsplat.extras.far_links.datagrams.redundancy import parity_for
+from glsplat.extras.far_links.datagrams.packets import PIECE, parity_for
 from glsplat.extras.far_links.link_control import LinkControl
 from glsplat.net.pace.ladder import MAX_SMOOTH_LPIPS, REDUCED_FPS, Rung, ladder, visible_loss
 

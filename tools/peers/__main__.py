@@ -28,14 +28,14 @@ import psutil
 from playwright.sync_api import sync_playwright
 
 import glsplat
-from apps.webpage.command import baked
+from apps.webpage import baked
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.formats.motion_files import load_motion
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
 from glsplat.net.codec.encode import encode_picture
-from glsplat.net.pages.site import page_files
+from glsplat.net.pages import page_files
 from glsplat.views import view_of
 from tests import needs
 from tools.docs.measured import FOLDER, Table, page_of

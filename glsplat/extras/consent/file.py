@@ -8,20 +8,63 @@ import json
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import date
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from glsplat.errors import FormatError
-from glsplat.extras.consent.digest import level_digest
-from glsplat.extras.consent.document import Consent, read_record, signed_record
+from glsplat.extras.consent.document import Consent, Terms, read_record, signed_record
 from glsplat.extras.consent.keys import PrivateKey
 from glsplat.extras.consent.record import file_digest, record_of, without_record
-from glsplat.formats.gltf.container import JSON_CHUNK, MAGIC, Container, chunks, glb_length, read_container
+from glsplat.formats.gltf.container import JSON_CHUNK, MAGIC, Container, chunks, glb_length, item, read_container
+from glsplat.formats.gltf.levels import LOD, finest_of
+from glsplat.formats.gltf.nodes import Instance, graph_of, instances
 from glsplat.formats.gltf.output import CONSENT
+from glsplat.formats.gltf.primitive import EXTENSION, packed_view
 from glsplat.io.files import naming, open_regular, replace_file
+
+_TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4")
+
+
+def level_digest(container: Container) -> tuple[str, bool]:
+    """Return the SHA-256 (hex) of the attribute arrays of level 0, and whether the file shows anything else.
+
+    The hash covers the primitives with splats in the order of the default scene, their attributes in the file's order,
+    elements packed without padding; of SPZ its packed bytes; of an accessor without data, which means zeros (glTF 2.0,
+    5.1.1), "zeros TYPE CODE COUNT". A file without splats is hashed by its triangles. Raises FormatError for missing
+    arrays.
+    """
+    gltf = container.gltf
+    graph = graph_of(gltf)
+    every = list(instances(gltf, graph.world))
+    splats = [one for one in every if EXTENSION in one.primitive.extensions]
+    found = finest_of(splats) if splats else every
+    if not found:
+        raise FormatError("shows nothing that could be hashed")
+    digest, seen = hashlib.sha256(), set()
+    for one in found:
+        if id(one.primitive) not in seen:  # two nodes may share a mesh
+            seen.add(id(one.primitive))
+            for part in _arrays(container, one):
+                digest.update(part)
+    only_finest = len(found) == len(every) and bool(splats) and not any(LOD in one.node.extensions for one in found)
+    return digest.hexdigest(), not only_finest
+
+
+def _arrays(container: Container, one: Instance) -> list[bytes]:
+    view = packed_view(one.primitive.extensions[EXTENSION], one.name) if EXTENSION in one.primitive.extensions else None
+    if view is not None:
+        return [container.view(view, one.name)]
+    return [_array(container, index, f"{one.name} {key}") for key, index in one.primitive.attributes.items()]
+
+
+def _array(container: Container, index: int, what: str) -> bytes:
+    accessor = item(container.gltf.accessors, index, f"accessor of {what}")
+    if accessor.buffer_view is None and accessor.sparse is None:
+        return f"zeros {accessor.type} {accessor.component_type} {accessor.count}".encode()
+    return container.read(index, what, _TYPES).tobytes()
+
 
 NONE = "no consent on file"
 """Shown, also in pictures, if a consent is missing."""
@@ -72,18 +115,7 @@ def on_file_data(data: bytes) -> OnFile:
         return OnFile(fault=str(error))
 
 
-def sign_data(
-    data: bytes,
-    key: PrivateKey,
-    *,
-    subject: str,
-    given_by: str,
-    purpose: str,
-    start: date,
-    until: date,
-    drivers: list[str],
-    hand_out: bool = False,
-) -> bytes:
+def sign_data(data: bytes, key: PrivateKey, **terms: Unpack[Terms]) -> bytes:
     """Return a .glb with a new record. The binary chunk keeps its bytes; the JSON is rewritten.
 
     Raises FormatError for other files, for a .glb that needs further files or shows nothing, and for invalid fields.
@@ -92,27 +124,17 @@ def sign_data(
         raise FormatError(_ONLY_GLB)
     glb = _Glb(data)
     glb.document = without_record(glb.document)
-    record = signed_record(
-        key,
-        subject=subject,
-        given_by=given_by,
-        purpose=purpose,
-        start=start,
-        until=until,
-        drivers=drivers,
-        splats_sha256=level_digest(glb.container())[0],
-        file_sha256=glb.digest(),
-        hand_out=hand_out,
-    )
+    splats = level_digest(glb.container())[0]
+    record = signed_record(key, splats_sha256=splats, file_sha256=glb.digest(), **terms)
     return b"".join(glb.with_record(record))
 
 
-def sign_file(path: Path, out: Path, key: PrivateKey, **fields: Any) -> None:
+def sign_file(path: Path, out: Path, key: PrivateKey, **terms: Unpack[Terms]) -> None:
     """Apply ``sign_data`` to a file and write ``out``, which may be the same, atomically. Raises FormatError."""
     with naming(path):
         with open_regular(path) as (file, _):
             data = file.read()
-        signed = sign_data(data, key, **fields)
+        signed = sign_data(data, key, **terms)
     replace_file(out, [signed])
 
 

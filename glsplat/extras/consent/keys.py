@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular, replace_file
 from glsplat.io.secret_files import warn_if_exposed
+from glsplat.net.guard.state_dir import lock_of
 from glsplat.optional import require_package
 
 if TYPE_CHECKING:
@@ -131,3 +132,19 @@ def _read(path: Path) -> bytes:
         if size > MAX_KEY_FILE_BYTES:
             raise FormatError(f"a key file has at most {MAX_KEY_FILE_BYTES} bytes, this one {size}")
         return file.read()
+
+
+_KEY = "consent-key"
+
+
+def kept_key(folder: Path) -> PrivateKey:
+    """Return the key in the folder, created at the first call. Raises GlsplatError naming the file."""
+    path = folder / _KEY
+    with lock_of(folder):
+        return private_key(path) if path.exists() else new_key(path)
+
+
+def known_key(folder: Path) -> PrivateKey | None:
+    """Return the key in the folder; None if none was created. Raises GlsplatError naming the file."""
+    path = folder / _KEY
+    return private_key(path) if path.exists() else None

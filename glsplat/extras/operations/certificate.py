@@ -65,8 +65,9 @@ def kept_certificate(folder: Path, names: Iterable[str]) -> StoredCertificate:
                 earlier = [name for name in held if _address(name) and name not in wanted]
                 wanted += tuple(earlier[:MAX_ADDRESSES])
         if remade or not path.exists():
-            certificate, data = _generate(wanted)
-            replace_file(path, [data], private=True)
+            certificate, key = _self_signed(wanted, _LIFETIME)
+            pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+            replace_file(path, [pem + certificate.public_bytes(Encoding.PEM)], private=True)
         assert certificate is not None
         public = certificate.public_bytes(Encoding.PEM)
         if not _has_content(folder / CERTIFICATE, public):
@@ -132,13 +133,6 @@ def short_lived_certificate(lasts: timedelta) -> tuple[x509.Certificate, ec.Elli
     Browsers require keys on P-256 and at most 14 days (WebTransport, W3C, "serverCertificateHashes").
     """
     return _self_signed(_LOCAL_NAMES, lasts)
-
-
-def _generate(names: Sequence[str]) -> tuple[x509.Certificate, bytes]:
-    """Return a new certificate, and it with its key as PEM."""
-    certificate, key = _self_signed(names, _LIFETIME)
-    private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    return certificate, private + certificate.public_bytes(Encoding.PEM)
 
 
 def _self_signed(names: Sequence[str], lasts: timedelta) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:

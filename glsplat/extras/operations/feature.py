@@ -6,11 +6,9 @@ from urllib.parse import quote
 
 from aiohttp import web
 
-from glsplat.extras.operations.history import History
-from glsplat.extras.operations.metrics import metrics_text
 from glsplat.extras.operations.previews import Previews
 from glsplat.extras.operations.qr import QrCodes
-from glsplat.extras.operations.status import STATUS_POLICY, page_html
+from glsplat.extras.operations.status import STATUS_POLICY, History, metrics_text, page_html
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.guard.access import is_loopback
 from glsplat.net.guard.host_info import machine_names, reachable_at

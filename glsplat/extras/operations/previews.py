@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import cache
 from hashlib import sha256
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import simplejpeg
@@ -17,15 +17,12 @@ from aiohttp import web
 from numpy.typing import NDArray
 
 from glsplat.errors import GlsplatError
-from glsplat.extras.operations.history import History
+from glsplat.extras.operations.status import History
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client_stream import ClientStream
 from glsplat.net.codec.encoded import Encoded
 from glsplat.net.feature import Feature, ServerView
-from glsplat.net.rights import user_of
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
+from glsplat.net.rights import User, user_of
 
 PORTRAIT_PX = 192
 """Side of an avatar's portrait."""

@@ -19,12 +19,51 @@ from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.extras.rooms.person import Person, PoseSample, people_fields
-from glsplat.extras.rooms.seats import free_seat, seat
 from glsplat.net.codec.body import MAX_BODIES, PoseHistory, Poses, for_recipient
 from glsplat.net.options import RoomError
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.wire_schema import Position
+from glsplat.scene import similarity
 from glsplat.skinning.skeleton import Skeleton
+
+RADIUS = 1.2
+"""Least radius of the circle in metres: people who stand opposite are at a talking distance."""
+
+_ARC_PER_PERSON_M = 1.0
+
+
+def seat(number: int, seats: int) -> NDArray[np.float64]:
+    """Return room from user [4, 4]: the user's origin on the circle, their +z towards its centre.
+
+    The first two seats are opposite each other.
+
+    >>> glsplat.extras.rooms.room.seat(0, 2)[:3, 3].round(6).tolist()
+    [0.0, 0.0, -1.2]
+    """
+    radius = max(RADIUS, seats * _ARC_PER_PERSON_M / (2 * np.pi))
+    angle = 2 * np.pi * number / seats
+    return place_at(-radius * np.sin(angle), -radius * np.cos(angle), angle)
+
+
+def place_at(x: float, z: float, turn: float) -> NDArray[np.float64]:
+    """Return room from user [4, 4]: the origin at (x, 0, z) metres, turned by ``turn`` radians about y."""
+    return similarity((x, 0, z), (0, np.sin(turn / 2), 0, np.cos(turn / 2)))
+
+
+def free_seat(taken: set[int], seats: int) -> int:
+    """Return the free seat farthest from those taken; the lowest of several. One has to be free.
+
+    >>> [glsplat.extras.rooms.room.free_seat(set(taken), 8) for taken in ([], [0], [0, 4], [0, 4, 2])]
+    [0, 4, 2, 6]
+    """
+
+    def distance(number: int) -> int:
+        steps = [(number - other) % seats for other in taken]
+        return min((min(step, seats - step) for step in steps), default=seats)
+
+    free = (number for number in range(seats) if number not in taken)
+    return max(free, key=lambda number: (distance(number), -number))
+
 
 _TOKEN_BYTES = 16
 _SWEEP_INTERVAL_S = 0.03

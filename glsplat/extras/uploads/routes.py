@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aiohttp import web
 
@@ -20,10 +20,7 @@ from glsplat.net.backend import AvatarInfo
 from glsplat.net.feature import Feature, ServerView
 from glsplat.net.guard.gate import connection_of
 from glsplat.net.guard.limits import Limits
-from glsplat.net.rights import user_of
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import User
+from glsplat.net.rights import User, user_of
 
 _NO_AVATAR = "there is no such avatar of yours\n"
 MAX_EXTRA_BYTES = 2**20  # of a body beside its pictures: fields, boundaries, discarded data
@@ -43,7 +40,8 @@ class Uploads(Feature):
 
     async def start(self, server: ServerView) -> None:
         """Start the job queue, whose avatars join the server's catalogue."""
-        self._gate, self._withdraw, offer = server.gate, server.withdraw, server.catalogue.add
+        self._gate, self._clock = server.gate, server.clock
+        self._withdraw, offer = server.withdraw, server.catalogue.add
         self._queue = JobQueue(self.config, self.store, lambda name, avatar: offer(self._describe(name, avatar)))
         self._queue.start()
 
@@ -74,9 +72,9 @@ class Uploads(Feature):
         return {"upload": {"views": VIEWS, "picture_bytes": config.picture_bytes, "body_bytes": config.body_bytes}}
 
     async def _post(self, request: web.Request) -> web.Response:
-        connection = connection_of(request)
+        connection, addresses = connection_of(request), self._gate.addresses
         try:
-            wait = self._gate.upload(request)
+            wait = addresses.upload(connection.key, self._clock())
             if wait > 0:
                 raise RefusedError(429, f"too many pictures from one address; try again in {wait:.0f} s", round(wait))
             connection.expect(self.config.body_bytes + MAX_EXTRA_BYTES)
@@ -89,13 +87,13 @@ class Uploads(Feature):
             except BaseException as error:  # also cancellation, when the client disconnects
                 self._queue.cancel(job)
                 if not isinstance(error, RefusedError) or error.status == 408:
-                    self._gate.unfinished_upload(request, time.monotonic() - begun)
+                    addresses.unfinished_upload(connection.key, self._clock(), time.monotonic() - begun)
                 raise
         except RefusedError as refusal:
             return await self._refused(request, refusal)
         except ConnectionError:
             return web.Response(status=400)  # the client is gone
-        return _answer(self._status(job), 202, {"Location": f"avatars/{job.name}"})
+        return web.json_response(self._status(job), status=202, headers={"Location": f"avatars/{job.name}"})
 
     async def _book(self, address: str, account: str) -> Job:
         try:
@@ -106,7 +104,7 @@ class Uploads(Feature):
 
     async def _get(self, request: web.Request) -> web.Response:
         job = self._job(request)
-        return _not_found() if job is None else _answer(self._status(job))
+        return _not_found() if job is None else web.json_response(self._status(job))
 
     async def _anyway(self, request: web.Request) -> web.Response:
         """Resume a refused job. Its name, which no list contains, proves who ordered it."""
@@ -117,7 +115,7 @@ class Uploads(Feature):
             self._queue.go_on(job)
         except RefusedError as refusal:
             return _refusal_response(refusal)
-        return _answer(self._status(job), 202)
+        return web.json_response(self._status(job), status=202)
 
     async def _delete(self, request: web.Request) -> web.Response:
         name = request.match_info["name"]
@@ -158,10 +156,6 @@ class Uploads(Feature):
 
 def _not_found() -> web.Response:
     return web.Response(status=404, text="there is no such avatar in the making\n")
-
-
-def _answer(fields: Mapping[str, Any], status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:
-    return web.json_response(fields, status=status, headers=headers)
 
 
 def _refusal_response(refusal: RefusedError) -> web.Response:

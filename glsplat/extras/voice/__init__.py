@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from glsplat.extras.voice.ice import IceServers
-from glsplat.extras.voice.relay import Voice
+from glsplat.extras.voice.relay import IceServers, Voice
 
 __all__ = ["REQUIRES", "IceServers", "Voice"]
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.mark import KEY_BYTES, WatermarkKey
+from glsplat.io.files import replace_file
 from glsplat.io.secret_files import warn_if_exposed
+from glsplat.net.guard.state_dir import lock_of
 
 _NEW_KEY_BYTES = 32
 MAX_FILE_BYTES = 4096
@@ -41,3 +43,16 @@ def read_watermark(path: str | Path) -> WatermarkKey:
             f"{path}: a watermark's key file is one line: the server's id as 4 hex digits, a blank, "
             f"and a key of {2 * KEY_BYTES} or more hex digits"
         ) from None
+
+
+WATERMARK = "watermark"
+"""The file's name in the folder."""
+
+
+def kept_watermark(folder: Path) -> WatermarkKey:
+    """Return the id and key in the folder, created at the first call. Raises GlsplatError naming the file."""
+    path = folder / WATERMARK
+    with lock_of(folder):
+        if not path.exists():
+            replace_file(path, [text_of(new_watermark()).encode()], private=True)
+        return read_watermark(path)

@@ -11,17 +11,22 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.extras.workers.cluster import RayCluster
 from glsplat.extras.workers.placement import PlacedClient, PlacedWorker, better, choose
+from glsplat.net.backend import Backend
 from glsplat.net.client_stream import Answer, ClientStream, Outgoing
-from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.addresses import FaultTracker
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.render_loop import RenderLoop
+from glsplat.net.worker.connection import WorkerLauncher
 from glsplat.net.worker.encoding import PictureEncoder
-from glsplat.net.worker.remote import RemoteWorker, WorkerLauncher
+from glsplat.net.worker.process import ProcessLauncher
+from glsplat.net.worker.remote import RemoteWorker
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -261,3 +266,36 @@ class WorkerPool:
             numbers, to = found
             for number in numbers:
                 self._move(self._clients[number][0], living[to])
+
+
+_HEADLESS_S = 120.0  # for which a gateway without workers waits for Ray to return
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """``count`` processes on this machine, or with ``ray`` that many actors (None: as many as fit)."""
+
+    count: int | None = 1
+    ray: bool = False
+    cpus: float = 1.0  # per actor
+    gpus: float = 0.0
+    address: str | None = None  # as for ray.init; None: RAY_ADDRESS, a cluster on this machine, or a new one
+
+    def pool(
+        self, makes: Sequence[Callable[[], Backend]], rate: float | None, seconds: float, video: bool = False
+    ) -> WorkerPool:
+        """Return a pool whose workers run ``makes`` in turn; Ray's all run the first. The rest is as for WorkerPool.
+
+        Raises GlsplatError if Ray is not installed or cannot be reached.
+        """
+        if not self.ray:
+            count = self.count or 1
+            launchers = [ProcessLauncher(makes[i % len(makes)], f"worker {i + 1}") for i in range(count)]
+            return WorkerPool(launchers, rate, seconds, video=video)
+        cluster = RayCluster(makes[0], self.address, self.cpus, self.gpus)
+        try:
+            count = cluster.room() if self.count is None else self.count
+            return WorkerPool(cluster.launchers(count), rate, seconds, _HEADLESS_S, close=cluster.close, video=video)
+        except BaseException:
+            cluster.close()
+            raise

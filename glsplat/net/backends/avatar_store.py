@@ -13,58 +13,41 @@ from glsplat.scene import Rigged
 
 
 class AvatarStore(Mapping[str, Rigged]):
-    """``given`` avatars by name, then NAME.glb in ``folder``, read each time; never the name of the ``scene``.
+    """``given`` avatars by name, then NAME.glb in ``folder``, read each time, then the embedded ``people``.
 
-    Callers pass offered names only, so that none leads out of the folder.
+    A file with the name of the ``scene`` is no avatar. Callers pass offered names only, so that none leads out of the
+    folder. Only names of the embedded people are pickled; the process that draws loads its own on first use.
     """
 
-    def __init__(self, given: Mapping[str, Rigged], folder: Path, scene: str) -> None:
-        self._given, self._folder, self._scene = dict(given), folder, scene
+    def __init__(
+        self, given: Mapping[str, Rigged], folder: Path | None = None, scene: str = "", people: Collection[str] = ()
+    ) -> None:
+        self._given, self._folder, self._scene, self._people = dict(given), folder, scene, tuple(people)
 
     def __getitem__(self, name: str) -> Rigged:
         if name in self._given:
             return self._given[name]
-        if name not in self:
+        path = self._path(name)
+        if path is None:
+            if name in self._people:
+                return person(name)
             raise KeyError(name)
-        avatar = load_content(self._path(name))
+        avatar = load_content(path)
         if not isinstance(avatar, Avatar):
-            raise FormatError(f"{self._path(name)}: expected an avatar, found splats without a skeleton")
+            raise FormatError(f"{path}: expected an avatar, found splats without a skeleton")
         return avatar
 
     def __contains__(self, name: object) -> bool:
-        return name in self._given or (isinstance(name, str) and name != self._scene and self._path(name).is_file())
+        return name in self._given or name in self._people or (isinstance(name, str) and self._path(name) is not None)
 
     def __iter__(self) -> Iterator[str]:
-        yield from self._given
-        yield from (path.stem for path in sorted(self._folder.glob("*.glb")) if path.stem not in self._given)
+        files = () if self._folder is None else (path.stem for path in sorted(self._folder.glob("*.glb")))
+        yield from dict.fromkeys((*self._given, *files, *self._people))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
-    def _path(self, name: str) -> Path:
-        return self._folder / f"{name}.glb"
-
-
-class LazyAvatars(Mapping[str, Rigged]):
-    """``given`` avatars by name, then the embedded ``people`` of other names, loaded on first use.
-
-    Only names of the embedded people are pickled; the process that draws loads its own.
-    """
-
-    def __init__(self, given: Mapping[str, Rigged], people: Collection[str]) -> None:
-        self._given, self._people = given, tuple(people)
-
-    def __getitem__(self, name: str) -> Rigged:
-        if name in self._people and name not in self._given:
-            return person(name)
-        return self._given[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._given or name in self._people
-
-    def __iter__(self) -> Iterator[str]:
-        yield from self._given
-        yield from (name for name in self._people if name not in self._given)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
+    def _path(self, name: str) -> Path | None:
+        """Return the file of an avatar; None where there is none."""
+        path = None if self._folder is None or name == self._scene else self._folder / f"{name}.glb"
+        return path if path is not None and path.is_file() else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -14,13 +15,15 @@ from glsplat.camera import Camera, look_at, pinhole
 from glsplat.config import LEAN, RenderConfig
 from glsplat.errors import BudgetError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import Rendered, RenderJob, Submitted
-from glsplat.net.backends.budget import PictureBudget
+from glsplat.net.codec.encoded import DepthGrid
 from glsplat.renderer.stats import union
 from glsplat.scene import Rigged, SceneLike
 
 if TYPE_CHECKING:
     from glsplat.formats.scene_file import SceneFile
-    from glsplat.net.codec.depth import DepthGrid
+    from glsplat.renderer import Prepared
+    from glsplat.renderer.checks import Images
+    from glsplat.renderer.read_back import Transfer
 
 MAX_COST = 1e9
 """Covered pixels of a picture (renderer.Prepared.cost): eight times the cost of a person who fills two eyes of 2048^2,
@@ -37,6 +40,42 @@ _MIN_SLICE_COST = 1e6  # covered pixels
 def max_cost_of(config: RenderConfig) -> float:
     """Return the limit of a picture's covered pixels: the same views are refused with LEAN and without."""
     return MAX_COST * (_LEAN_SHARE if config.max_sigma <= LEAN.max_sigma else 1.0)
+
+
+class PictureBudget:
+    """Limits of one picture. Costs are in covered pixels (``renderer.Prepared.cost``)."""
+
+    def __init__(
+        self,
+        max_cost: float = math.inf,  # a picture above it is refused before anything is drawn
+        seconds: float = math.inf,  # from now on; a slower picture is abandoned between two slices
+        slice_cost: float = math.inf,  # a picture above it is drawn in slices of about that cost
+        abandoned: Callable[[], bool] = lambda: False,  # called between slices: whether the picture is not needed
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._max_cost, self._seconds, self._slice_cost = max_cost, seconds, slice_cost
+        self._abandoned, self._clock = abandoned, clock
+        self._start = clock()
+
+    def render(self, prepared: Prepared, out: Images | None = None, transfer: Transfer | None = None) -> Images:
+        """Render within these limits. Raises BudgetError (too_costly, abandoned, too_slow)."""
+        if prepared.cost > self._max_cost:
+            raise BudgetError(
+                f"the picture covers {prepared.cost:.3g} pixels splat by splat, at most {self._max_cost:.3g} are drawn;"
+                " ask for a smaller size or look from further away",
+                "too_costly",
+            )
+        return prepared.render(between=self.check, slice_cost=self._slice_cost, out=out, transfer=transfer)
+
+    def check(self) -> None:
+        """Raise BudgetError (abandoned, too_slow) unless the picture is to be continued."""
+        if self._abandoned():
+            raise BudgetError("the picture is no longer wanted", "abandoned")
+        if self._clock() - self._start > self._seconds:
+            raise BudgetError(
+                f"the picture took more than {self._seconds:g} s; ask for a smaller size or look from further away",
+                "too_slow",
+            )
 
 
 class RendererBackend:
@@ -124,7 +163,7 @@ class RendererBackend:
             stats, timings = renderer.stats, dict(renderer.timings)
             depth: tuple[DepthGrid, ...] = ()
             if request.options.depth:
-                from glsplat.net.backends.depth import depth_grids  # loaded late: it needs a driver, as above
+                from glsplat.net.backends.scene_renderer import depth_grids  # loaded late: it needs a driver, as above
 
                 start = time.perf_counter()
                 depth = depth_grids(renderer, one.views(request))

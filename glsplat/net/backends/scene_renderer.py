@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -15,8 +15,8 @@ from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, PoseError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.budget import others_share
 from glsplat.net.backends.extent import FigureBounds
+from glsplat.net.codec.encoded import GRID_SIDE, DepthGrid, grid_of
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.renderer import Prepared, Renderer
 from glsplat.renderer.checks import checked_pose
@@ -24,6 +24,33 @@ from glsplat.renderer.levels import Selector
 from glsplat.scene import Item, Rigged, Scene, is_rigged
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skeleton import Skeleton
+
+_FULL_SHARE_PIXELS = 2 * 2048 * 2048  # of a picture whose full cost others may use; in proportion for smaller ones
+_ONE_PERSON = 0.5  # limit for one person, as a share of the limit for all others
+_MIN_SPLAT_PIXELS = 64  # covered pixels of each splat and view that are granted in any picture: four blocks
+_MIN_ALPHA = 0.1  # of a point that has a depth: the depth of a partly covered pixel is better than an interpolated one
+
+
+def depth_grids(renderer: Renderer, views: Sequence[Camera], pose: Pose | None = None) -> tuple[DepthGrid, ...]:
+    """Return a grid for each view, in its units, of the coarsest level of detail.
+
+    Depth at the picture's own size would take as long as the picture itself (docs/vr.md). Changes the renderer's size,
+    selector, step and statistics.
+    """
+    renderer.selector, renderer.step = Selector(), None
+    renderer.resize(GRID_SIDE, GRID_SIDE)
+    images, depths = renderer.render([_spread(view) for view in views], pose, depth=True)
+    alpha = images[..., 3] / (255 if images.dtype == np.uint8 else 1)
+    there = (alpha > _MIN_ALPHA) & (depths > 0)
+    return tuple(map(grid_of, np.divide(1, depths, out=np.full(depths.shape, np.nan), where=there)))
+
+
+def _spread(view: Camera) -> Camera:
+    """Return the camera whose pixels are centred at the grid's points; the outermost lie on the picture's rim."""
+    width, height = (GRID_SIDE - 1) / view.width, (GRID_SIDE - 1) / view.height
+    k = np.array([[width, 0, 0.5], [0, height, 0.5], [0, 0, 1]]) @ view.K
+    return replace(view, K=k, width=GRID_SIDE, height=GRID_SIDE)
+
 
 log: logging.Logger = logging.getLogger("glsplat.net")
 
@@ -247,6 +274,18 @@ class SceneRenderer:
             shown = self._people[one.key]
             if shown is not None:
                 shown.set_layers(_own(index), one.opacity > 0 and one.key not in out)
+
+
+def others_share(max_cost: float, views: Sequence[Camera], splats: int, each: bool = False) -> float:
+    """Return the covered pixels that a room's other people, of that many ``splats``, may add to a viewer's picture.
+
+    The limit is for all of them, or for ``each``. A person whose eyes nearly touch the viewer's needs four fifths of
+    the limit for one, a circle of eight people two fifths of the limit for all (docs/protocol.md, section 5). So only
+    people who crowd others reach a limit.
+    """
+    pixels = sum(view.width * view.height for view in views)
+    share = (_ONE_PERSON if each else 1.0) * max_cost * pixels / _FULL_SHARE_PIXELS
+    return max(share, float(_MIN_SPLAT_PIXELS * len(views) * splats))
 
 
 def _hides_head(job: RenderJob) -> bool:

@@ -1,3 +1,3 @@
 from .client import Client as Client
 from .client import ReceivedReply as ReceivedReply
-from .request import request_message as request_message
+from .client import request_message as request_message

@@ -11,20 +11,80 @@ from typing import Any, Unpack
 from urllib.parse import urlencode
 
 import aiohttp
+import msgspec
+import numpy as np
 
 from glsplat.arrays import count, flag, number
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError, ProtocolError
 from glsplat.net.client.connection import ClientConnection, VideoReader
 from glsplat.net.client.dialing import check_token, checked_url, client_tls, not_connected, offered_avatars
-from glsplat.net.client.request import encoder, request_message
 from glsplat.net.flow import FlowControl
 from glsplat.net.flow import ReceivedReply as ReceivedReply  # exported by the package
-from glsplat.net.messages import MAX_MESSAGE_BYTES
+from glsplat.net.messages import MAX_MESSAGE_BYTES, VERSION, eye_fields
 from glsplat.net.reply import Reply
 from glsplat.net.wire_schema import PictureParams, Want
 from glsplat.optional import missing, plugin
 from glsplat.skinning.pose import Pose
+from glsplat.skinning.smplx import JOINT_NAMES
+
+
+def request_message(
+    frame_id: int,
+    cameras: Sequence[Camera] | None = None,
+    *,
+    pose: Pose | Mapping[str, Any] | None = None,
+    tracking: Mapping[str, Any] | None = None,
+    want: Want | None = None,
+    t: float | None = None,
+    **params: Unpack[PictureParams],
+) -> dict[str, Any]:
+    """Return a native request. ``cameras`` may be left out where ``tracking`` has a head. Raises ProtocolError."""
+    message: dict[str, Any] = {"v": VERSION, "frame_id": frame_id}
+    if t is not None:
+        message["t"] = t
+    if cameras is not None:
+        message |= _eyes(cameras)
+    if isinstance(pose, Pose):
+        if len(pose.rotations) != len(JOINT_NAMES):
+            raise ProtocolError('a pose of another rig than SMPL-X is sent as {"joints": {NAME: [x, y, z]}}')
+        pose = pose.to_smplx()
+    known = PictureParams.__annotations__
+    if unknown := params.keys() - known.keys():
+        raise TypeError(f"a request has no {', '.join(sorted(unknown))}: it has {', '.join(known)}")
+    fields: dict[str, Any] = {"pose": pose, "tracking": tracking, "want": want, **params}
+    for key in ("crop", "alpha", "box", "depth"):
+        fields[key] = fields.get(key) or None
+    hide, light = params.get("hide", ()), params.get("light")
+    fields["hide"] = ([hide] if isinstance(hide, str) else list(hide)) or None
+    fields["light"] = light if light is None or isinstance(light, str) else light.to_json()
+    return message | {key: value for key, value in fields.items() if value is not None}
+
+
+def _eyes(cameras: Sequence[Camera]) -> dict[str, Any]:
+    """Return ``eyes`` and ``size``. Raises ProtocolError for properties of cameras that the wire cannot hold."""
+    views = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    if not 1 <= len(views) <= 2 or not all(isinstance(camera, Camera) for camera in views):
+        raise ProtocolError("a request has one or two cameras (glsplat.Camera), left first; leave them out for a head")
+    sizes = [(camera.width, camera.height) for camera in views]
+    if sizes[0] != sizes[-1]:
+        (w, h), (w2, h2) = sizes
+        raise ProtocolError(f"both eyes need one size, not {w}x{h} and {w2}x{h2}", "bad_size")
+    if any(tuple(camera.background) != (0, 0, 0) for camera in views):
+        raise ProtocolError("a server draws on black: leave background at (0, 0, 0)", "bad_camera")
+    if any((np.linalg.det(camera.viewmat[:3, :3])) < 0 for camera in views):
+        raise ProtocolError("a viewmat that reflects is not sent: ask for mirror=True", "bad_camera")
+    return {"eyes": [eye_fields(camera) for camera in views], "size": list(sizes[0])}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    raise TypeError(f"a request holds numbers, lists and arrays, not {type(value).__name__}")
+
+
+encoder: msgspec.json.Encoder = msgspec.json.Encoder(enc_hook=_plain)
+
 
 _MAX_REPLY_BYTES = 64 * 1024 * 1024
 
@@ -79,7 +139,7 @@ class Client:
         self._cafile, self._adapt = cafile, flag(adapt, "adapt", GlsplatError)
         self._reader: Callable[[], VideoReader | None] = lambda: None
         if flag(video, "video", GlsplatError):
-            module = plugin("far_links.video_reader")
+            module = plugin("far_links.video")
             if module is None:
                 raise GlsplatError(missing("far_links", "video"))
             module.VideoReader()  # raise its errors now, not when the client connects

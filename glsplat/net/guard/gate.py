@@ -9,7 +9,6 @@ import ssl
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from aiohttp import web
 
@@ -22,10 +21,7 @@ from glsplat.net.guard.limits import ClientQuota, Limits, address_key
 from glsplat.net.guard.listener import Listener
 from glsplat.net.guard.meter import FrameMeter
 from glsplat.net.guard.notices import Notices
-from glsplat.net.rights import USER, Rights
-
-if TYPE_CHECKING:
-    from glsplat.net.rights import Accounts
+from glsplat.net.rights import USER, Accounts, Rights
 
 _MAX_LOGINS = 32  # requests that wait for their tokens to be hashed, one after the other
 _CONTINUE = "100-continue"
@@ -162,14 +158,6 @@ class Gate:
         self.addresses.leave(connection.key, quota, self._clock())
         if self._listener is not None:
             self._listener.take_back(connection)
-
-    def upload(self, request: web.Request) -> float:
-        """Count a request to make an avatar; return the seconds until its address may ask again, 0 for now."""
-        return self.addresses.upload(connection_of(request).key, self._clock())
-
-    def unfinished_upload(self, request: web.Request, seconds: float) -> None:
-        """Count the seconds of an upload that ended incomplete."""
-        self.addresses.unfinished_upload(connection_of(request).key, self._clock(), seconds)
 
     def breach(self, request: web.Request, reason: str) -> None:
         """Hold off the address of a client that broke a limit."""

@@ -8,13 +8,11 @@ import { Orbit } from './show/orbit.js';
 import { Stage } from './show/stage.js';
 import { Viewer } from './show/viewer.js';
 import { Immersive, support } from './show/xr.js';
-import { NAME, Settings } from './settings.js';
-import { SPLATS_CACHE, browserStorage } from './storage.js';
+import { NAME, SPLATS_CACHE, Settings, browserStorage } from './settings.js';
 import { Connection } from './stream/connection.js';
 import { Tabs } from './stream/tabs.js';
 import { Calibration, EYES_OF_STATURE } from './track/calibration.js';
-import { Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
-import { Living } from './track/living.js';
+import { Living, Motion, Recording, Rest, parseRecording, readRecording } from './track/drivers.js';
 import { Recorder } from './track/recorder.js';
 import { STRIDE, Steps, TURN } from './track/steps.js';
 
@@ -115,7 +113,7 @@ const addTalk = once(async () => {
 });
 
 const addPhoto = once(async () => {
-  const { addPhoto: add } = await import('./photo/photo.js');
+  const { addPhoto: add } = await import('./photo/form.js');
   photo = await add(document.getElementById('no-photo'), connection, {
     async wear(name) {
       await askOffer();
@@ -180,7 +178,7 @@ function chosenAvatar() {
 /** Return the radius in metres of the circle on which the people of the room stand; 0 while alone. */
 function circle() {
   const found = offer?.rooms?.find(({ name }) => name === settings.get('room'));
-  return found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/seats.py
+  return found ? Math.max(CIRCLE, found.seats / (2 * Math.PI)) : 0; // rule of glsplat/extras/rooms/room.py
 }
 
 let stood = null; // radius of the room of the camera's position

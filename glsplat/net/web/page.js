@@ -3,6 +3,10 @@
 
 const CHOICES = ['view', 'place', 'avatar', 'room', 'size', 'driver', 'drawn'];
 const FLAGS = ['light', 'stereo', 'figures'];
+const NOTES = {
+  name: { right: 'Shown over your head to others in the room.', wrong: 'Not used: enter up to 32 letters and digits.' },
+  height: { right: 'Optional; 0.5 to 2.8. Fits the avatar to you in VR.', wrong: 'Not used: enter metres from 0.5 to 2.8, such as 1.75.' },
+};
 const BUTTONS = ['enter-vr', 'enter-ar', 'try-vr', 'elsewhere', 'invite', 'again', 'face', 'record', 'calibrate', 'fullscreen'];
 
 /**
@@ -145,8 +149,9 @@ export class Page extends EventTarget {
     for (const name of CHOICES) on(name, 'change', (event) => this.#change(name, event.target.value));
     for (const name of FLAGS) on(name, 'change', (event) => this.#change(name, event.target.checked));
     on('quality', 'input', (event) => this.#change('quality', event.target.value));
-    on('height', 'change', (event) => this.#changeHeight(event.target));
-    on('name', 'change', (event) => this.#changeName(event.target));
+    for (const name of Object.keys(NOTES)) {
+      on(name, 'change', ({ target }) => this.#note(name, this.#settings.set(name, target.validity.badInput ? 'no number' : target.value)));
+    }
     for (const id of BUTTONS) on(id, 'click', () => this.dispatchEvent(new Event(id)));
     on('token-form', 'submit', (event) => this.#submitToken(event));
     on('file', 'change', (event) => {
@@ -168,31 +173,11 @@ export class Page extends EventTarget {
     if (!this.#settings.set(name, value)) this.#show(name); // the control goes back to what is in force
   }
 
-  /** A height that cannot be used stays there to be corrected; the note below it says what fits. */
-  #changeHeight(input) {
-    const text = input.validity.badInput ? 'no number' : input.value;
-    this.#noteHeight(this.#settings.set('height', text));
-  }
-
-  #changeName(input) {
-    this.#noteName(this.#settings.set('name', input.value));
-  }
-
-  #noteName(right) {
-    this.#get('name').setAttribute('aria-invalid', String(!right));
-    const note = this.#get('name-note');
-    note.textContent = right
-      ? 'Shown over your head to others in the room.'
-      : 'Not used: enter up to 32 letters and digits.';
-    note.classList.toggle('bad', !right);
-  }
-
-  #noteHeight(right) {
-    this.#get('height').setAttribute('aria-invalid', String(!right));
-    const note = this.#get('height-note');
-    note.textContent = right
-      ? 'Optional; 0.5 to 2.8. Fits the avatar to you in VR.'
-      : 'Not used: enter metres from 0.5 to 2.8, such as 1.75.';
+  /** What cannot be used stays there to be corrected; the note below it says what fits. */
+  #note(name, right) {
+    this.#get(name).setAttribute('aria-invalid', String(!right));
+    const note = this.#get(`${name}-note`);
+    note.textContent = NOTES[name][right ? 'right' : 'wrong'];
     note.classList.toggle('bad', !right);
   }
 
@@ -219,8 +204,7 @@ export class Page extends EventTarget {
     else if (FLAGS.includes(name)) this.#get(name).checked = value;
     else this.#get(name).value = value ?? '';
     if (name === 'quality') this.#get('quality-value').textContent = value;
-    if (name === 'height') this.#noteHeight(true);
-    if (name === 'name') this.#noteName(true);
+    if (name in NOTES) this.#note(name, true);
     if (name === 'room') this.#get('room-row').hidden = this.#settings.options('room').length < 2;
     if (name === 'driver') this.#get('file-row').hidden = value !== 'file';
     if (name === 'figures') this.#get('figures-box').hidden = !value;

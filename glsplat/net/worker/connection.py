@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 import time
-from collections.abc import Awaitable, Callable
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import msgspec
 
 from glsplat.errors import ContextError, GlsplatError
+from glsplat.net.worker.slots import Slots
 from glsplat.net.worker.wire import (
     HEAD,
     MAX_ANSWER_BYTES,
@@ -40,18 +42,40 @@ _SILENT_S = 1.0  # limit of the answer to a ping, while the worker is idle
 _BUSY_S = 3.0  # the same while it draws: the driver may hold Python's lock for a second (backends/gl.py, _SLICE_S)
 
 
+class WorkerLauncher(Protocol):
+    """Starts, reaches and ends one worker at a time."""
+
+    name: str
+    """For the log and /stats."""
+
+    @property
+    def slots(self) -> Slots | None:
+        """Memory for pixels that the worker shares with this process; None: it sends JPEGs."""
+
+    async def start(self) -> tuple[socket.socket, bytes]:
+        """Start a worker; return its connection after the handshake, and its key. Raises GlsplatError."""
+
+    async def cause(self) -> tuple[str, bool]:
+        """Return why the worker's connection ended, in a line, and whether its picture is likely to be at fault."""
+
+    def stopped(self) -> bool:
+        """Return whether the worker's process is stopped, as by SIGSTOP: then its picture is not why it is silent."""
+
+    async def end(self, seconds: float) -> None:
+        """Wait ``seconds`` for the worker to end, then end it by force. Harmless where there is none."""
+
+
 class WorkerConnection(asyncio.Protocol):
     """One connection, after the handshake. ``lost`` is called once it has ended, whatever the reason.
 
-    ``cause`` and ``stopped`` are the launcher's. ``alone`` returns whether there is no other worker: then a longer wait
-    costs nothing. ``seconds`` limits the time of a picture.
+    ``alone`` returns whether there is no other worker: then a longer wait costs nothing. ``seconds`` limits the time of
+    a picture.
     """
 
     def __init__(
         self,
         key: bytes,
-        cause: Callable[[], Awaitable[tuple[str, bool]]],
-        stopped: Callable[[], bool],
+        launcher: WorkerLauncher,
         lost: Callable[[], None],
         alone: Callable[[], bool],
         seconds: float,
@@ -60,7 +84,7 @@ class WorkerConnection(asyncio.Protocol):
         self.opened: asyncio.Future[str] = loop.create_future()
         """The driver string, or the error that kept the worker from opening."""
         self.opened.add_done_callback(_retrieve)  # its opening may have been cancelled
-        self._writer, self._cause, self._stopped, self._on_lost = Writer(key), cause, stopped, lost
+        self._writer, self._launcher, self._on_lost = Writer(key), launcher, lost
         self._alone, self._seconds = alone, seconds
         self._transport: asyncio.Transport
         self._buffer = bytearray()
@@ -206,7 +230,7 @@ class WorkerConnection(asyncio.Protocol):
                 self._pinged += max(0.0, late)
                 silent, most = now - self._pinged, self._patience()
                 if silent > most:
-                    blames = self.busy and self._begun and not self._stopped()
+                    blames = self.busy and self._begun and not self._launcher.stopped()
                     self.end(f"the worker did not answer within {most:g} s", blames)
 
     def _patience(self) -> float:
@@ -216,7 +240,7 @@ class WorkerConnection(asyncio.Protocol):
         return _BUSY_S if drawing else _SILENT_S
 
     async def _end(self) -> None:
-        why, blames = self._why or await self._cause()
+        why, blames = self._why or await self._launcher.cause()
         drawing, encoding, self._drawing, self._encoding = self._drawing, self._encoding, {}, {}
         self._on_lost()
         _answer(self.opened, WorkerLostError(why))

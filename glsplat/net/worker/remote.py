@@ -4,46 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
-import socket
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Protocol
 
+import msgspec
 import numpy as np
 
 from glsplat.errors import BudgetError, ContextError, GlsplatError
 from glsplat.net.backend import Rendered, RenderJob
-from glsplat.net.worker.connection import WorkerConnection
-from glsplat.net.worker.slots import Slots
+from glsplat.net.worker.connection import WorkerConnection, WorkerLauncher
 from glsplat.net.worker.wire import MAX_ANSWER_BYTES, Order, WorkerLostError
 
 _OPEN_S = 60.0  # to make a context and load a scene
 _CLOSE_S = 5.0  # to end in order ...
 _GRACE_S = 0.5  # ... and in the middle of a picture
 _MAX_LOADED = 4  # avatars that a worker keeps loaded (backends/renderer_pool.py, MAX_RENDERERS)
-
-
-class WorkerLauncher(Protocol):
-    """Starts, reaches and ends one worker at a time."""
-
-    name: str
-    """For the log and /stats."""
-
-    @property
-    def slots(self) -> Slots | None:
-        """Memory for pixels that the worker shares with this process; None: it sends JPEGs."""
-
-    async def start(self) -> tuple[socket.socket, bytes]:
-        """Start a worker; return its connection after the handshake, and its key. Raises GlsplatError."""
-
-    async def cause(self) -> tuple[str, bool]:
-        """Return why the worker's connection ended, in a line, and whether its picture is likely to be at fault."""
-
-    def stopped(self) -> bool:
-        """Return whether the worker's process is stopped, as by SIGSTOP: then its picture is not why it is silent."""
-
-    async def end(self, seconds: float) -> None:
-        """Wait ``seconds`` for the worker to end, then end it by force. Harmless where there is none."""
 
 
 class RemoteWorker:
@@ -108,18 +83,9 @@ class RemoteWorker:
         self._loaded.move_to_end(shown)
         if len(self._loaded) > _MAX_LOADED:
             self._loaded.popitem(last=False)
-        return Rendered(
-            images,
-            result.timings,
-            covered=result.covered,
-            done=None if slot is None else slot.give_back,
-            levels=result.levels,
-            coarsest=result.coarsest,
-            posed=result.posed,
-            places=result.places,
-            depth=result.depth,
-            encoded=content,
-        )
+        fields = msgspec.structs.asdict(result)
+        del fields["views"]
+        return Rendered(images, **fields, done=None if slot is None else slot.give_back, encoded=content)
 
     def cancel(self) -> None:
         """Cancel the picture that was ordered last."""
@@ -146,14 +112,7 @@ class RemoteWorker:
 
     async def _start(self) -> str:
         connection, key = await self.launcher.start()
-        link = WorkerConnection(
-            key,
-            self.launcher.cause,
-            self.launcher.stopped,
-            lambda: self._ended(link),
-            self._alone,
-            self._seconds,
-        )
+        link = WorkerConnection(key, self.launcher, lambda: self._ended(link), self._alone, self._seconds)
         await asyncio.get_running_loop().create_connection(lambda: link, sock=connection)
         try:
             async with asyncio.timeout(_OPEN_S):

@@ -25,8 +25,7 @@ import msgspec
 
 from glsplat.errors import BudgetError, ContextError, ContextLostError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import RenderJob
-from glsplat.net.codec.depth import DepthGrid
-from glsplat.net.codec.encoded import Box, Encoded
+from glsplat.net.codec.encoded import Box, DepthGrid, Encoded
 
 MAX_ANSWER_BYTES = 2 * 8192**2 * 4  # of a worker's message: two eyes of the largest --max-size as pixels
 _MAX_ORDER_BYTES = 2**24  # of a server's message, which has up to 64 KiB for each person of a room

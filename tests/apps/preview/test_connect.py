@@ -20,8 +20,8 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.extras.rooms.person import Person
-from glsplat.extras.rooms.rooms import Rooms
 from glsplat.formats import save
 from glsplat.gl.context import Context
 from glsplat.net.backend import AvatarInfo, Rendered

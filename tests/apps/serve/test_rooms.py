@@ -12,8 +12,8 @@ import pytest
 from apps.args import open_scene
 from apps.replay import command as replay
 from apps.serve import command as serve
+from apps.serve.command import open_rooms
 from apps.serve.options import RoomChoice, room_choice
-from apps.serve.rooms import open_rooms
 from glsplat.net.backend import AvatarInfo, Solved
 from glsplat.net.messages import Request
 from glsplat.net.server import ServerConfig

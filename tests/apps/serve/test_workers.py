@@ -8,11 +8,11 @@ import sys
 import pytest
 
 import glsplat
+from apps.serve.command import workers_of
 from apps.serve.wiring import assemble
-from apps.serve.workers import workers_of
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import GlsplatError
-from glsplat.extras.workers.options import Workers
+from glsplat.extras.workers.pool import Workers
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.client import Client
 from glsplat.net.served_scene import ServedScene
@@ -25,7 +25,7 @@ def asked(*words: str) -> Workers | None:
 
 
 def test_what_it_takes(monkeypatch):
-    monkeypatch.setattr("apps.serve.workers.require_ray", lambda: None)
+    monkeypatch.setattr("glsplat.extras.workers.cluster.require_ray", lambda: None)
     assert asked() is None
     assert asked("--workers", "2") == Workers(count=2)
     assert asked("--workers", "ray") == Workers(count=None, ray=True)

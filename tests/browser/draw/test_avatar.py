@@ -13,8 +13,7 @@ import pytest
 
 import glsplat
 from glsplat import Avatar, Item, Pose, Scene
-from glsplat.extras.browser.web_format.layout import HEAD
-from glsplat.extras.browser.web_format.read import decode_avatar
+from glsplat.extras.browser.web_format.read import HEAD, decode_avatar
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.formats.motion_files import load_motion
 from glsplat.renderer.levels import Proxy, chosen

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from glsplat.net.backend import Rendered, RenderJob
-from glsplat.net.codec.depth import GRID_SIDE, grid_of
+from glsplat.net.codec.encoded import GRID_SIDE, grid_of
 from tests.browser.conftest import OpenPage
 from tests.browser.immersive.test_places import LEFT, RIGHT, SIDES, Held
 from tests.browser.markers import offered

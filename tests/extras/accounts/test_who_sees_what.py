@@ -14,7 +14,7 @@ import aiohttp
 import pytest
 
 from glsplat.extras.accounts.users import Accounts, new_user, write_users
-from glsplat.extras.browser.poses.splat_files import SplatFiles
+from glsplat.extras.browser.feature import SplatFiles
 from glsplat.extras.browser.web_format.write import web_file
 from glsplat.extras.consent.document import Consent
 from glsplat.extras.consent.file import OnFile

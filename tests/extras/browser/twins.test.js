@@ -1,10 +1,8 @@
 import { readAvatar } from './avatar/avatar.js';
 import { chosen, densityOf, proxyOf } from './avatar/detail.js';
-import { HERE, Skeleton, matrixOf, quaternionOf } from './draw/bones.js';
+import { HERE, Skeleton, amountsOf, matrixOf, movedMeans, quaternionOf } from './draw/bones.js';
 import { ARKIT } from './draw/crowd.js';
-import { cameraOfFile } from './draw/frame.js';
-import { uniformsOf } from './draw/light.js';
-import { amountsOf, movedMeans } from './draw/shapes.js';
+import { cameraOfFile, uniformsOf } from './draw/frame.js';
 import { parsePoses } from './stream/pose.js';
 import { bytesOf, check } from './twins.js';
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from glsplat.extras.browser.poses.responder import PoseResponder
-from glsplat.extras.rooms.rooms import Rooms
+from glsplat.extras.browser.responder import PoseResponder
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.net.backend import AvatarInfo, Rendered, RenderJob
 from glsplat.net.client_stream import ClientStream, Drawn, PoseAnswer
 from glsplat.net.codec.encoded import Encoded
@@ -22,7 +22,7 @@ from glsplat.net.render_loop import RenderLoop
 from glsplat.net.reply import Reply, pack_reply, parse_reply
 from glsplat.net.rights import Rights
 from glsplat.net.session import Close, Session, SessionConfig, Warn
-from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import ThreadWorker
 from tests.net.conftest import FakeBackend
 
 __all__ = ["Meeting", "RefusedError"]

@@ -19,10 +19,9 @@ from glsplat.errors import BudgetError, GlsplatError
 from glsplat.formats.scene_file import SceneFile
 from glsplat.gl.context import Context
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.budget import PictureBudget, others_share
-from glsplat.net.backends.gl import RendererBackend, max_cost_of
+from glsplat.net.backends.gl import PictureBudget, RendererBackend, max_cost_of
 from glsplat.net.backends.renderer_pool import RendererPool
-from glsplat.net.backends.scene_renderer import SceneRenderer
+from glsplat.net.backends.scene_renderer import SceneRenderer, others_share
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.renderer import Prepared, Renderer

@@ -20,7 +20,7 @@ from glsplat.net.backend import AvatarInfo, RenderJob
 from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.backends.renderer_pool import RendererPool
 from glsplat.net.client_stream import ClientStream
-from glsplat.net.codec.depth import DepthGrid
+from glsplat.net.codec.encoded import DepthGrid
 from glsplat.net.reply import Reply
 from glsplat.net.room_view import VisiblePerson
 from glsplat.net.served_scene import TrackingOptions

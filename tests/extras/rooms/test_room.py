@@ -17,10 +17,9 @@ from hypothesis import strategies as st
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import PoseError, ProtocolError
 from glsplat.extras.accounts.users import User
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.extras.rooms.person import FADE_S, MAX_AHEAD_S, SILENT_S, Person, PoseSample
-from glsplat.extras.rooms.room import Room, RoomError
-from glsplat.extras.rooms.rooms import Rooms
-from glsplat.extras.rooms.seats import RADIUS, free_seat, place_at, seat
+from glsplat.extras.rooms.room import RADIUS, Room, RoomError, free_seat, place_at, seat
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.catalogue import Catalogue
 from glsplat.net.codec.body import PoseHistory, unpack_bodies

@@ -14,7 +14,7 @@ from glsplat.extras.rooms import person
 from glsplat.extras.rooms.person import FADE_S, SILENT_S
 from glsplat.net.backend import AvatarInfo, Rendered, RenderJob, Solved
 from glsplat.net.client import Client
-from glsplat.net.guard.fault_tracker import FaultTracker
+from glsplat.net.guard.addresses import FaultTracker
 from glsplat.net.messages import Request
 from glsplat.net.server import Server, ServerConfig
 from glsplat.net.session import SessionConfig

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from glsplat.errors import FormatError
-from glsplat.extras.speech.analysis import Analysis
-from glsplat.extras.speech.mouth import Mouth
+from glsplat.extras.speech.analysis import Analysis, table
 from glsplat.extras.speech.sound import Sound, read_wav
-from glsplat.extras.speech.speaking import Speaking
-from glsplat.extras.speech.table import table
+from glsplat.extras.speech.speaking import Mouth, Speaking
 from glsplat.skinning.expression import ARKIT
 from tests.extras.speech.sounds import vowels
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from glsplat.extras.speech.analysis import Analysis
-from glsplat.extras.speech.mouth import Mouth
+from glsplat.extras.speech.speaking import Mouth
 from tests.extras.speech.sounds import vowels
 from tests.twins import Twin, both_sides, text_of
 

@@ -1,7 +1,6 @@
 import { readFileSync } from 'node:fs';
 import { bytesOf, check } from './twins.js';
-import { Analysis } from './voice/analysis.js';
-import { Mouth } from './voice/mouth.js';
+import { Analysis, Mouth } from './voice/analysis.js';
 
 const table = JSON.parse(readFileSync(new URL('voice/visemes.json', import.meta.url)));
 

@@ -104,7 +104,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only a process that was stopped is given up: the others of a slow machine are late."""
     patience = connection.WorkerConnection._patience
     monkeypatch.setattr(
-        connection.WorkerConnection, "_patience", lambda self: patience(self) + (0.0 if self._stopped() else GUARD)
+        connection.WorkerConnection,
+        "_patience",
+        lambda self: patience(self) + (0.0 if self._launcher.stopped() else GUARD),
     )
     monkeypatch.setattr(process, "_EXIT_S", GUARD)
 

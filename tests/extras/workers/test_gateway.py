@@ -16,7 +16,7 @@ import pytest
 import glsplat
 from apps.serve.wiring import assemble
 from glsplat.camera import head_matrix, stereo_cameras
-from glsplat.extras.workers.options import Workers
+from glsplat.extras.workers.pool import Workers
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.client import Client
 from glsplat.net.served_scene import ServedScene

@@ -13,8 +13,7 @@ import psutil
 import pytest
 
 from glsplat.errors import ContextError, GlsplatError, ProtocolError
-from glsplat.extras.workers.options import Workers
-from glsplat.extras.workers.pool import WorkerPool
+from glsplat.extras.workers.pool import WorkerPool, Workers
 from glsplat.net import render_loop as loop_module
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
@@ -228,7 +227,7 @@ def test_a_pool_that_cannot_be_made_ends_rays_driver(monkeypatch):
         def close(self):
             closed.append(1)
 
-    monkeypatch.setattr("glsplat.extras.workers.options.RayCluster", Cluster)
+    monkeypatch.setattr("glsplat.extras.workers.pool.RayCluster", Cluster)
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(GlsplatError, match="video"):
         Workers(count=None, ray=True).pool([Sleeper], None, 5.0, video=True)

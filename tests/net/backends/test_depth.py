@@ -14,13 +14,13 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.data import default_avatar
 from glsplat.net.backend import RenderJob
-from glsplat.net.backends.depth import depth_grids
 from glsplat.net.backends.gl import RendererBackend
-from glsplat.net.codec.depth import GRID_SIDE, grid_of
+from glsplat.net.backends.scene_renderer import depth_grids
+from glsplat.net.codec.encoded import GRID_SIDE, grid_of
 from glsplat.net.reply import parse_reply
 from glsplat.net.wire_schema import PictureOptions
 from glsplat.net.worker.process import process_worker
-from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import ThreadWorker
 from glsplat.renderer import Renderer
 from glsplat.skinning.pose import Pose
 from tests.net.running import working

@@ -13,7 +13,7 @@ import pytest
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.config import RenderConfig
 from glsplat.errors import ProtocolError
-from glsplat.extras.rooms.member import Member
+from glsplat.extras.rooms.feature import Member
 from glsplat.extras.rooms.person import Person
 from glsplat.extras.rooms.room import Room
 from glsplat.formats.scene_file import SceneFile

@@ -18,7 +18,7 @@ from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.served_scene import gl_server
 from glsplat.net.server import ServerConfig
 from glsplat.net.worker.process import process_worker
-from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import ThreadWorker
 from glsplat.scene import Item, Scene, similarity
 from glsplat.skinning.pose import Pose
 from tests.net.backends.test_renderer_pool import BENT, PAIR, SIZE, direct, request

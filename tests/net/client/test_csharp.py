@@ -21,8 +21,8 @@ from glsplat.extras.openxr.placing import ViewName, placing
 from glsplat.extras.operations.certificate import kept_certificate
 from glsplat.net import ServerConfig
 from glsplat.net.client import Client
+from glsplat.net.client.client import encoder, request_message
 from glsplat.net.client.connection import ClientConnection
-from glsplat.net.client.request import encoder, request_message
 from glsplat.net.guard.access import Access
 from glsplat.net.messages import Decoder, Request
 from glsplat.net.reply import pack_reply

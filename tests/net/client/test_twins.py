@@ -14,7 +14,7 @@ import numpy as np
 from glsplat.camera import head_matrix, stereo_cameras
 from glsplat.errors import ProtocolError
 from glsplat.net.client import Client
-from glsplat.net.codec.depth import DepthGrid, grid_of
+from glsplat.net.codec.encoded import DepthGrid, grid_of
 from glsplat.net.flow import FlowControl, server_error
 from glsplat.net.messages import eye_fields
 from glsplat.net.reply import pack_reply, parse_reply

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import ProtocolError
-from glsplat.net.codec.depth import DepthGrid, grid_of, read_grids
+from glsplat.net.codec.encoded import DepthGrid, grid_of, read_grids
 from glsplat.net.reply import pack_reply, parse_reply
 
 

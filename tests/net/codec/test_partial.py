@@ -9,8 +9,7 @@ import simplejpeg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glsplat.net.codec.encode import Encoder, encode_picture
-from glsplat.net.codec.partial import encode_covered
+from glsplat.net.codec.encode import Encoder, encode_covered, encode_picture
 
 
 def picture(width, height, box, seed=0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.net.codec.straight import straightened
+from glsplat.net.codec.encode import straightened
 
 BLOCK = 16
 

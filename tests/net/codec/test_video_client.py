@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.extras.far_links.video import VideoStream
-from glsplat.extras.far_links.video_reader import VideoReader
+from glsplat.extras.far_links.video import VideoReader, VideoStream
 from glsplat.net.client import Client
 from glsplat.net.server import ServerConfig
 

@@ -7,8 +7,7 @@ import random
 
 import pytest
 
-from glsplat.net.guard.duplicates import has_duplicates
-from glsplat.net.messages import Decoder
+from glsplat.net.messages import Decoder, has_duplicates
 from glsplat.net.session import Session
 from tests.net.wire import full_hands, native
 

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from glsplat.net.pace.fitting import Fitted, fit
+from glsplat.net.internal_client import Fitted, fit
 from glsplat.net.pace.stages import StageTimes
 from glsplat.net.server import ServerConfig
 from tests.net.conftest import FakeBackend

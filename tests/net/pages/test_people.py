@@ -17,10 +17,10 @@ from glsplat.data import PEOPLE, default_avatar, person
 from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import AvatarInfo
-from glsplat.net.backends.avatar_store import LazyAvatars
+from glsplat.net.backends.avatar_store import AvatarStore
 from glsplat.net.served_scene import ServedScene, TrackingOptions, server_of
 from glsplat.net.server import Server, ServerConfig
-from glsplat.net.worker.thread import ThreadWorker
+from glsplat.net.worker.worker import ThreadWorker
 from tests.net.conftest import FakeBackend
 
 
@@ -86,10 +86,12 @@ def test_each_person_is_offered_but_the_one_who_is_shown_anyway():
 
 def test_the_process_that_draws_is_told_names_and_loads_what_is_chosen():
     given = {PEOPLE[0]: default_avatar()}
-    avatars = pickle.loads(pickle.dumps(LazyAvatars({}, PEOPLE)))
+    avatars = pickle.loads(pickle.dumps(AvatarStore({}, people=PEOPLE)))
     assert len(pickle.dumps(avatars)) < 1000 and list(avatars) == list(PEOPLE) and "nobody" not in avatars
     assert avatars[PEOPLE[1]].skeleton.names == person(PEOPLE[1]).skeleton.names
-    assert LazyAvatars(given, PEOPLE)[PEOPLE[0]] is given[PEOPLE[0]] and len(LazyAvatars(given, PEOPLE)) == len(PEOPLE)
+    assert AvatarStore(given, people=PEOPLE)[PEOPLE[0]] is given[PEOPLE[0]] and len(
+        AvatarStore(given, people=PEOPLE)
+    ) == len(PEOPLE)
 
 
 @pytest.mark.parametrize("title", ["<b>x</b>", "a" * 33, 7, None, ["Ann"], "\u202egnp.exe", "", "Ann O'Neil"])

@@ -13,8 +13,8 @@ import pytest
 import simplejpeg
 
 from glsplat.extras.operations import previews
-from glsplat.extras.operations.history import History
 from glsplat.extras.operations.previews import PORTRAIT_PX, Previews, flattened
+from glsplat.extras.operations.status import History
 from glsplat.net.backend import AvatarInfo
 from glsplat.net.client import Client
 from glsplat.net.codec.encoded import Encoded
@@ -137,7 +137,7 @@ async def test_one_that_is_deleted_while_it_waits_to_be_drawn_is_no_failure(serv
 
 
 async def test_the_curves_go_on_after_numbers_that_could_not_be_taken(monkeypatch, caplog):
-    monkeypatch.setattr("glsplat.extras.operations.history.STEP_S", 0.005)
+    monkeypatch.setattr("glsplat.extras.operations.status.STEP_S", 0.005)
     count = 0
 
     def stats():

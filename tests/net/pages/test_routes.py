@@ -16,7 +16,7 @@ from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.guard.limits import Limits
 from glsplat.net.messages import WireOptions
-from glsplat.net.pages.site import Site, page_files, read_folder
+from glsplat.net.pages import Site, page_files, read_folder
 from glsplat.net.server import ServerConfig
 from tests.net.wire import HANG
 

@@ -17,8 +17,7 @@ from glsplat.net.backends.gl import RendererBackend
 from glsplat.net.client import Client
 from glsplat.net.worker.process import process_worker
 from glsplat.net.worker.slot_writer import SLOTS
-from glsplat.net.worker.thread import ThreadWorker
-from glsplat.net.worker.worker import Worker
+from glsplat.net.worker.worker import ThreadWorker, Worker
 from glsplat.renderer.read_back import PackBuffers
 from tests.net.running import opened, working
 from tests.net.wire import HANG, until

@@ -12,8 +12,7 @@ import pytest
 
 from glsplat.errors import BudgetError, ContextError, FormatError, GlsplatError, PoseError
 from glsplat.net.backend import RenderJob
-from glsplat.net.codec.depth import grid_of
-from glsplat.net.codec.encoded import Encoded
+from glsplat.net.codec.encoded import Encoded, grid_of
 from glsplat.net.messages import PictureOptions
 from glsplat.net.room_view import RoomView, VisiblePerson
 from glsplat.net.worker import wire

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
-from glsplat.extras.browser.web_format.layout import (
+from glsplat.extras.browser.web_format.planes import (
+    THINNEST,
+    WEIGHT,
+    colour_steps,
+    mean_steps,
+    quat_bits,
+    scale_steps,
+    to_planes,
+    weight_steps,
+)
+from glsplat.extras.browser.web_format.read import (
     HEAD,
     MAGIC,
     MOST_ENTRIES,
@@ -24,18 +34,8 @@ from glsplat.extras.browser.web_format.layout import (
     Joints,
     Part,
     Targets,
+    read_header,
 )
-from glsplat.extras.browser.web_format.planes import (
-    THINNEST,
-    WEIGHT,
-    colour_steps,
-    mean_steps,
-    quat_bits,
-    scale_steps,
-    to_planes,
-    weight_steps,
-)
-from glsplat.extras.browser.web_format.read import read_header
 from glsplat.extras.formats.packed import morton_order
 from glsplat.light.surface import Surface
 from glsplat.net.backend import WebFile

@@ -1,7 +1,7 @@
 """Erasure code: any parity pieces replace as many lost pieces.
 
 A systematic Reed-Solomon code over GF(256) with a Cauchy matrix (Bloemer et al.: An XOR-Based Erasure-Resilient Coding
-Scheme, ICSI TR-95-048, 1995): every square part of such a matrix has an inverse. Twin: web/stream/erasure.js.
+Scheme, ICSI TR-95-048, 1995): every square part of such a matrix has an inverse. Twin: web/stream/pieces.js.
 """
 
 from __future__ import annotations

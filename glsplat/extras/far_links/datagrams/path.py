@@ -24,8 +24,8 @@ from glsplat.extras.far_links.datagrams.packets import (
     Assembler,
     groups_of,
     packets_of,
+    parity_for,
 )
-from glsplat.extras.far_links.datagrams.redundancy import parity_for
 from glsplat.net.guard.limits import Bucket
 from glsplat.net.messages import MAX_MESSAGE_BYTES
 

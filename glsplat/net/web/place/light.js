@@ -11,7 +11,7 @@ const EXPOSURE = 1.5; // dark skin by day is as bright as on a photograph, and w
 const GOLDEN = Math.PI * (3 - Math.sqrt(5));
 const known = new Map(); // by name
 
-/** {ambient, sun} (draw/light.js) of the place of that name, in the room's axes; null where there is none. */
+/** {ambient, sun} (draw/frame.js) of the place of that name, in the room's axes; null where there is none. */
 export function lightOf(name) {
   if (!LOOKS[name]) return null;
   if (!known.has(name)) known.set(name, worked(LOOKS[name]));

@@ -1,11 +1,9 @@
 // Everything the page draws with WebGL2: a place, the newest pairs, a mirror's frame, labels. Knows no sessions.
 
-import { Place } from '../place/place.js';
 import { shown } from '../place/bake.js';
+import { Place } from '../place/place.js';
+import { IDENTITY, add, apply, axis, cross, dot, invert, movePoint, multiply, place, scale, subtract, unit } from '../space/matrix.js';
 import { buildPrograms } from './shaders.js';
-import { IDENTITY, add, apply, axis, invert, movePoint, multiply, place, scale } from '../space/matrix.js';
-import { cuts, extent, planeGrid } from '../space/picture.js';
-import { Grid } from './grid.js';
 
 const FRAME = 0.03; // metres around a mirror's glass
 const COLOURS = { frame: [0.45, 0.36, 0.22, 1], glass: [0, 0, 0, 1], floor: [0.22, 0.26, 0.33, 1] };
@@ -259,4 +257,89 @@ function floorLines() {
     }
   }
   return out;
+}
+
+/** Points over a picture with the inverse depth of each, two triangles between any four of them, on the GPU. */
+class Grid {
+  size = [0, 0]; // columns, rows
+  #gl;
+  #array;
+  #points;
+  #corners;
+
+  constructor(gl) {
+    this.#gl = gl;
+    this.#array = gl.createVertexArray();
+    [this.#points, this.#corners] = [gl.createBuffer(), gl.createBuffer()];
+    gl.bindVertexArray(this.#array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#points);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribPointer(0, 1, gl.FLOAT, false, 0, 0);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.#corners);
+    gl.bindVertexArray(null);
+  }
+
+  /** Whether nothing of it can hide another part. */
+  get flat() {
+    return this.size[0] * this.size[1] <= 4;
+  }
+
+  /** Take over {columns, rows, inverse: Float32Array, row by row}. */
+  fill({ columns, rows, inverse }) {
+    const gl = this.#gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.#points);
+    gl.bufferData(gl.ARRAY_BUFFER, inverse, gl.STREAM_DRAW);
+    if (columns === this.size[0] && rows === this.size[1]) return;
+    this.size = [columns, rows];
+    const corners = [];
+    for (let i = 0; i < columns * (rows - 1); i++) {
+      if ((i + 1) % columns) corners.push(i, i + 1, i + columns, i + 1, i + columns + 1, i + columns);
+    }
+    gl.bindVertexArray(this.#array);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from(corners), gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+  }
+
+  draw() {
+    const gl = this.#gl;
+    gl.bindVertexArray(this.#array);
+    gl.drawElements(gl.TRIANGLES, 6 * (this.size[0] - 1) * (this.size[1] - 1), gl.UNSIGNED_SHORT, 0);
+    gl.bindVertexArray(null);
+  }
+}
+
+const GRAZING = 0.1; // cosine; a plane seen at a flatter angle is put straight before the eye instead
+const NEAREST = 0.3; // metres to one that is
+
+/**
+ * A plane as a grid of 2 x 2 points over the picture of `camera` ({transform, frustum}): {columns, rows, inverse}, as
+ * replies have them. Inverse depth of a plane is linear in the picture, so its corners are exact.
+ */
+function planeGrid({ transform, frustum: f }, { point, normal }) {
+  const ends = [[f.left, f.up], [f.right, f.up], [f.left, f.down], [f.right, f.down]];
+  const rays = ends.map(([x, y]) => apply(transform, [x, y, -1, 0]).slice(0, 3)); // as long as -z is 1
+  const reach = dot(subtract(point, place(transform)), normal);
+  const steep = rays.every((ray) => dot(unit(ray), normal) < -GRAZING);
+  const straight = 1 / Math.max(NEAREST, Math.abs(reach));
+  return { columns: 2, rows: 2, inverse: Float32Array.from(rays, (ray) => (steep ? dot(ray, normal) / reach : straight)) };
+}
+
+/** Of a camera's picture, in tangents: [left, up, width, height]. */
+export const extent = ({ frustum: f }) => [f.left, f.up, f.right - f.left, f.up - f.down];
+
+/**
+ * The planes through an eye at `transform` and the edges of a `glass` (4 corners around it), four columns of a matrix
+ * in the axes of `camera`: what is seen through the glass has no product below 0 with any of them. Nothing where there
+ * is no glass.
+ */
+export function cuts(glass, camera, transform) {
+  if (!glass) return new Array(16).fill(0);
+  const eye = place(transform);
+  const middle = scale(glass.reduce(add, [0, 0, 0]), 1 / glass.length);
+  const back = invert(camera.transform);
+  return glass.flatMap((corner, i) => {
+    const edge = cross(subtract(corner, eye), subtract(glass[(i + 1) % glass.length], eye));
+    const normal = scale(edge, dot(subtract(middle, eye), edge) < 0 ? -1 : 1);
+    return [...apply(back, [...normal, 0]).slice(0, 3), dot(normal, subtract(place(camera.transform), eye))];
+  });
 }

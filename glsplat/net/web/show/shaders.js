@@ -1,6 +1,6 @@
 // The page's programs, GLSL ES 3.00. Positions are metres in the room; colours are premultiplied.
 
-import { build } from '../place/program.js';
+import { build } from '../place/shaders.js';
 
 /**
  * A picture put back into the room, by the inverse depth of points on a grid. Homogeneous throughout: the way from the

@@ -30,7 +30,7 @@ export class Stage {
   canHide = false; // whether the avatar's head can be hidden
   light = null; // of the server, for requests without a light
   here = null; // drawing on this device (show/here.js), once the server hands out an avatar
-  sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/hurry.js)
+  sideFor = (side) => side; // pixels of a picture; smaller while the user speaks (voice/panel.js)
   names = new Names(); // of a room's people, over their heads
   begun; // resolves with the first picture, or when none comes soon
   #begin;

@@ -1,7 +1,7 @@
 // Measures the user's eye height, stature, arm span and floor in two seconds of standing still. The server fits the
 // avatar to them. Twin: glsplat/tracking/calibration.py.
 
-import { browserStorage, keep, readKept } from '../storage.js';
+import { browserStorage, keep, readKept } from '../settings.js';
 
 const DURATION = 2000; // milliseconds of standing still
 const KEY = 'glsplat.calibration';

@@ -12,7 +12,7 @@ import pytest
 
 from glsplat.errors import ProtocolError
 from glsplat.extras.browser.web_format.read import decode_avatar
-from glsplat.extras.rooms.rooms import Rooms
+from glsplat.extras.rooms.feature import Rooms
 from glsplat.net.client import Client
 from glsplat.net.reply import parse_reply
 from glsplat.net.server import Server

@@ -11,7 +11,7 @@ from typing import Any
 import aiohttp
 
 from glsplat.extras.accounts.users import Accounts, new_user, write_users
-from glsplat.extras.browser.poses.splat_files import SplatFiles
+from glsplat.extras.browser.feature import SplatFiles
 from glsplat.net.client import Client
 from glsplat.net.guard.access import Access
 from glsplat.net.reply import parse_reply

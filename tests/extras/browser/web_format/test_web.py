@@ -14,8 +14,7 @@ import pytest
 
 import glsplat
 from glsplat.errors import FormatError
-from glsplat.extras.browser.web_format.layout import HEAD
-from glsplat.extras.browser.web_format.read import decode_avatar, read_header
+from glsplat.extras.browser.web_format.read import HEAD, decode_avatar, read_header
 from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Level

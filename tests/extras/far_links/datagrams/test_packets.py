@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 
 from glsplat.extras.far_links.datagrams.erasure import parity_of, restored
-from glsplat.extras.far_links.datagrams.packets import HEAD, LARGEST, PIECE, REQUEST, Assembler, groups_of, packets_of
-from glsplat.extras.far_links.datagrams.redundancy import parity_for
+from glsplat.extras.far_links.datagrams.packets import (
+    HEAD,
+    LARGEST,
+    PIECE,
+    REQUEST,
+    Assembler,
+    groups_of,
+    packets_of,
+    parity_for,
+)
 
 SIZES = (1, PIECE - 1, PIECE, PIECE + 1, 63_000, 160 * PIECE, 160 * PIECE + 1, 500_000)
 

@@ -14,10 +14,10 @@ import pytest
 pytest.importorskip("aioquic", reason="aioquic (glsplat[webtransport]) is not installed")
 
 from glsplat.extras.far_links.datagrams import path as paths
-from glsplat.extras.far_links.datagrams.feature import Datagrams
 from glsplat.extras.far_links.datagrams.listener import DatagramListener
 from glsplat.extras.far_links.datagrams.offers import Offers
 from glsplat.extras.far_links.datagrams.packets import HEAD, REQUEST
+from glsplat.extras.far_links.feature import Datagrams
 from tests.extras.far_links.datagrams.client import open_path, open_quic
 from tests.extras.far_links.datagrams.viewer import CONFIG, viewing
 from tests.net.wire import HANG, until

@@ -14,10 +14,8 @@ import pytest
 
 from glsplat.data import default_avatar
 from glsplat.errors import GlsplatError, ProtocolError
-from glsplat.extras.speech.face.feed import FORGET_S, HOLD_S, WEARER_TIMEOUT_S, FaceFeed
-from glsplat.extras.speech.face.listener import FaceListener
-from glsplat.extras.speech.face.osc import osc_messages
-from glsplat.extras.speech.face.unified import PARAMETERS, gaze_of, parameter_of, weights_of
+from glsplat.extras.speech.face import FORGET_S, HOLD_S, WEARER_TIMEOUT_S, FaceFeed, FaceListener, osc_messages
+from glsplat.extras.speech.unified import PARAMETERS, gaze_of, parameter_of, weights_of
 from glsplat.net.backends.tracking import TrackingSolver
 from glsplat.net.messages import Decoder, Request
 from glsplat.skinning.expression import ARKIT

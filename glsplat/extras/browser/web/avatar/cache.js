@@ -1,6 +1,6 @@
 // Avatars by the hash of their files: fetched once, kept in the browser's cache, usable from their coarsest level on.
 
-import { SPLATS_CACHE } from '../storage.js';
+import { SPLATS_CACHE } from '../settings.js';
 import { chunksOf, readAvatar } from './avatar.js';
 
 const MOST = 8; // avatars in memory at most, beyond those that are shown

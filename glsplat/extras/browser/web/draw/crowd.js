@@ -1,9 +1,8 @@
 // The people that this device draws, with their poses and levels of detail.
 
-import { HERE, matrixOf } from './bones.js';
+import { HERE, amountsOf, matrixOf } from './bones.js';
 import { Drawing } from './drawing.js';
 import { cameraOf } from './frame.js';
-import { amountsOf } from './shapes.js';
 
 /** Names of ARKit's 52 shapes in the order of an expression on the wire (docs/conventions.md). */
 export const ARKIT = [
@@ -53,7 +52,7 @@ export class Crowd {
 
   /**
    * Draw for eyes [{transform, projection, viewport}] into a framebuffer; `shown` and `glass` as of Drawing.draw.
-   * `headless`: key of the person whose head is hidden; `light` of light.js, in the space of the people.
+   * `headless`: key of the person whose head is hidden; `light` of frame.js, in the space of the people.
    */
   draw(eyes, framebuffer, shown, { glass = null, headless = null, light = null } = {}) {
     const { width, height } = eyes[0].viewport;

@@ -1,15 +1,13 @@
 // The frame: posed splats into the arena, one order of all, one record a splat, one draw an eye. Twins:
 // glsplat/renderer/arena.py and pipeline.py. Works on any WebGL2 context; knows no page and no headset.
 
-import { HERE, placed } from './bones.js';
-import { cameraOf, frameBlock, sortRow } from './frame.js';
+import { HERE, movedMeans, placed } from './bones.js';
+import { cameraOf, fillSurfaces, frameBlock, sortRow, uniformsOf } from './frame.js';
 import { bind, buffer, copyRows, feedback, texture, vertexArray } from './gpu.js';
 import { Item } from './item.js';
 import { Layers } from './layers.js';
-import { fillSurfaces, uniformsOf } from './light.js';
 import { Order } from './order.js';
 import { Programs } from './programs.js';
-import { movedMeans } from './shapes.js';
 
 const MOST_VIEWS = 2; // of a pass; some headsets have four
 const RECORD_ROW = 4096; // floats a row of the records' texture (record_input.glsl)
@@ -21,7 +19,7 @@ const STILL = Float64Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0);
  */
 export class Drawing {
   drawn = 0; // splats of the last frame
-  light = null; // {ambient, sun} of light.js that falls on all that knows its surface
+  light = null; // {ambient, sun} of frame.js that falls on all that knows its surface
   #gl;
   #programs;
   #order = new Order();

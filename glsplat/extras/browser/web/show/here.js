@@ -1,16 +1,15 @@
 // Draws people on this device instead of showing the server's pictures: poses arrive as replies (stream/pose.js),
 // avatars are fetched once (avatar/cache.js), and draw/ draws them for the eyes of each frame.
 
-import { ARKIT } from '../draw/crowd.js';
+import { AvatarCache } from '../avatar/cache.js';
 import { HERE } from '../draw/bones.js';
 import { Choice } from '../draw/choice.js';
-import { turned } from '../space/light.js';
+import { ARKIT } from '../draw/crowd.js';
 import { Own } from '../draw/own.js';
-import { AvatarCache } from '../avatar/cache.js';
 import { fromJoints, partsOf } from '../place/shadow.js';
+import { turned } from '../space/light.js';
 import { IDENTITY, fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 import { People, parsePoses } from '../stream/pose.js';
-import { OwnFace } from '../voice/own-face.js';
 
 const JAW = ARKIT.indexOf('jawOpen');
 
@@ -172,4 +171,29 @@ function headOf({ avatar: { skeleton }, pose, place = HERE }, shown) {
 /** Return the matrix from the space of an avatar at a place to the room. */
 function standing({ translation, rotation, scale }) {
   return multiply(fromPose([...translation, ...rotation]), [scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, 1]);
+}
+
+const byName = (said) => (Array.isArray(said) ? Object.fromEntries(ARKIT.map((name, i) => [name, said[i]])) : (said ?? {}));
+
+export class OwnFace {
+  /** Expressions of the newest request and of the one answered last: by name, or in ARKit's order. */
+  now = null;
+  answered = null;
+  #weights = new Float32Array(ARKIT.length);
+
+  /**
+   * Return the server's `expression` [52] (null: all 0) with the weights of `now`. Weights that only the answered
+   * request had are 0; others, such as eye movements of the server, stay. Null if all are 0.
+   */
+  over(expression) {
+    const [now, before] = [byName(this.now), byName(this.answered)];
+    const names = Object.keys({ ...before, ...now });
+    if (!names.length) return expression;
+    this.#weights.set(expression ?? new Float32Array(ARKIT.length));
+    for (const name of names) {
+      const i = ARKIT.indexOf(name);
+      if (i >= 0) this.#weights[i] = Math.min(1, Math.max(0, now[name] ?? 0));
+    }
+    return this.#weights.some((weight) => weight !== 0) ? this.#weights : null;
+  }
 }

@@ -1,7 +1,5 @@
 // The server's status page, updated by one request every two seconds.
 
-import { curve } from './curve.js';
-
 const PAUSE = 2000; // ms
 const $ = (id) => document.getElementById(id);
 const TOKEN = 'glsplat.token'; // kept by the page in this tab
@@ -10,6 +8,8 @@ const CURVES = [
   { key: 'age', label: 'From request to reply, ms', show: (v) => v.toFixed(0), least: 50 },
   { key: 'load', label: 'Load per core', show: (v) => v.toFixed(2), least: 1 },
 ];
+const SVG = 'http://www.w3.org/2000/svg';
+const [WIDTH, HEIGHT] = [300, 80]; // of a curve, in its own units
 const COLUMNS = ['id', 'avatar', 'room', 'a second', 'form', 'size', 'sent', 'dropped', 'failed', 'window'];
 const sent = new Map(); // by client: {count, at} of the last poll, for its rate
 const pictures = new Map(); // by avatar: {tag, address} of its picture, a blob
@@ -130,6 +130,25 @@ async function picture(name, tag) {
   if (before) setTimeout(() => URL.revokeObjectURL(before.address), PAUSE);
   pictures.set(name, { tag: response.headers.get('ETag')?.replaceAll('"', '') ?? tag, address });
   return address;
+}
+
+/** Return the SVG of `values`, the newest at the right; `most` values fill the width, `highest` is the upper edge. */
+function curve(values, most, highest, title) {
+  const svg = element('svg', { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: 'none', class: 'curve', role: 'img', 'aria-label': title });
+  for (const part of [0.5, 1]) svg.append(element('line', { x1: 0, x2: WIDTH, y1: part * (HEIGHT - 2) + 1, y2: part * (HEIGHT - 2) + 1 }));
+  const points = values.map((value, i) => {
+    const x = WIDTH - ((values.length - 1 - i) * WIDTH) / (most - 1);
+    const y = HEIGHT - 1 - (Math.min(value, highest) / highest) * (HEIGHT - 4);
+    return `${x.toFixed(1)},${y.toFixed(1)}`;
+  });
+  svg.append(element('polyline', { points: points.join(' ') }));
+  return svg;
+}
+
+function element(tag, attributes) {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  return made;
 }
 
 look();

@@ -1,7 +1,6 @@
 // Audio thread: turns the microphone's sound into weights. The sound itself stays in this thread.
 
-import { Analysis } from './analysis.js';
-import { Mouth } from './mouth.js';
+import { Analysis, Mouth } from './analysis.js';
 
 class Listener extends AudioWorkletProcessor {
   #analysis;

@@ -1,8 +1,7 @@
 // Voice between the pages of a room: who talks, and the signals between their browsers (docs/protocol.md, 2.2).
 
-import { invert, movePoint } from '../space/matrix.js';
+import { fromPose, invert, movePoint, multiply } from '../space/matrix.js';
 import { Peer } from './peer.js';
-import { mouths } from './places.js';
 
 const PLACED = 50; // ms between two looks at where people stand
 const LOUD = 0.01; // root mean square of a voice, full scale 1
@@ -169,4 +168,21 @@ function loudness(meter) {
   const samples = new Float32Array(meter.fftSize);
   meter.getFloatTimeDomainData(samples);
   return Math.hypot(...samples) / Math.sqrt(samples.length);
+}
+
+const MOUTH = 1.5; // metres above the ground on which somebody stands, where the head is not known
+
+/** Return {name: [x, y, z]} of the people in the room of a stage; metres. */
+export function mouths({ info, here, renderedBy }, now = performance.now()) {
+  const room = renderedBy.by === 'here' ? here.people.room : info.room;
+  if (!Array.isArray(room?.people)) return {};
+  const raised = ([x, y, z]) => [x, y + MOUTH, z];
+  if (renderedBy.by !== 'here') return Object.fromEntries(room.people.map(({ name, at, head }) => [name, head ?? raised(at)]));
+  const names = Object.fromEntries(room.people.map(({ key, name }) => [key, name]));
+  const own = invert(fromPose(room.place));
+  const bodies = here.people.at(now).map(({ key, root, place: { translation, rotation, scale } }) => {
+    const at = movePoint(multiply(own, fromPose([...translation, ...rotation])), root.map((v) => v * scale));
+    return [names[key], raised(at)];
+  });
+  return Object.fromEntries(bodies);
 }

@@ -10,7 +10,7 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.accounts.users import ANY, User, new_user, read_users, write_users
 from glsplat.io.files import locked
 
-from ..usage import UsageError
+from .usage import UsageError
 
 HELP = "Add, list and remove the accounts of a server (glsplat serve --users FILE), with their avatars and rooms."
 EXAMPLE = "glsplat users add ann --avatars ann,default"

@@ -15,13 +15,12 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS
 from glsplat.extras.authoring.video.film import each_frame, is_video
 from glsplat.extras.watermark.detect import WINDOW, detect
-from glsplat.extras.watermark.keys import read_watermark
-from glsplat.extras.watermark.state import WATERMARK
+from glsplat.extras.watermark.keys import WATERMARK, read_watermark
 from glsplat.io.files import open_regular
 from glsplat.net.guard.state_dir import state_folder
 
-from ..args import whole
-from ..usage import UsageError
+from .args import whole
+from .usage import UsageError
 
 HELP = "Find the invisible watermark in pictures of `glsplat serve`, which identifies the session."
 EXAMPLE = "glsplat watermark detect leaked.mp4"

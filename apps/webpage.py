@@ -23,9 +23,9 @@ from glsplat.extras.consent.policy import ConsentPolicy
 from glsplat.formats.motion_files import embedded_motions, load_motion
 from glsplat.io.files import replace_file
 from glsplat.motion.motion import Motion
-from glsplat.net.pages.site import page_files
+from glsplat.net.pages import page_files
 
-from ..args import load_avatar
+from .args import load_avatar
 
 HELP = (
     "Write a page that shows an avatar in any browser with WebGL 2 and in VR, with motions. Any file server will do "

@@ -1,1 +1,0 @@
-"""Poses over the wire, for clients that draw avatars themselves (docs/protocol.md, section 4.1)."""

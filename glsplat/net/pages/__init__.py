@@ -1,1 +1,0 @@
-"""The server's pages over plain HTTP: the page for headsets, /healthz, /stats and /session."""
