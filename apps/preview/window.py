@@ -191,7 +191,7 @@ class Window:
 
 
 def _key_names(glfw: Any) -> dict[int, str]:
-    """Return a map of GLFW's key code to the name in keys.py. Keys are positions on a US keyboard."""
+    """Return a map of GLFW's key code to the viewer's name of it. Keys are positions on a US keyboard."""
     named = {
         "SPACE": "space",
         "ESCAPE": "escape",
