@@ -22,7 +22,7 @@ from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.gpu_sort import GpuSorter, gpu_sorts_faster
 from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
 from glsplat.renderer.mesh_pass import MeshPass
-from glsplat.renderer.owned import owned
+from glsplat.renderer.owned import OwnsObjects, owned
 from glsplat.renderer.project import ProjectPass
 from glsplat.renderer.read_back import Transfer, read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
@@ -33,7 +33,7 @@ from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
 
-class Pipeline:
+class Pipeline(OwnsObjects):
     """Owns the work buffers and vertex arrays of a variant; arena and programs are borrowed."""
 
     variant: Variant
@@ -259,10 +259,6 @@ class Pipeline:
         sums = np.cumsum(self._costs[self._recorded], dtype=np.uint64)
         cuts = np.searchsorted(sums, int(sums[-1]) * np.arange(1, wanted) // wanted) + 1
         return sorted({*map(int, cuts), count})
-
-    def release(self) -> None:
-        """Delete the work buffers and vertex arrays."""
-        self._owned.close()
 
 
 def _in_arena(order: NDArray[np.uint32], ranges: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:

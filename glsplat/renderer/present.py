@@ -53,24 +53,21 @@ class Present:
         Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
         """
         with self._entered("Present.run()"):
-            self._run(target, framebuffer, size, layout)
-
-    def _run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
-        views, _, width, _ = target.shape
-        framebuffer.viewport = (0, 0, *size)
-        framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        values: dict[str, Any] = {"window": size, "view_width": width}
-        target.texture.use(UNITS["target"])
-        has_text = self._box[2] > 0
-        if has_text:
-            self._text.use(UNITS["text"])
-            values["text_box"] = self._box
-        if target.lift is not None:
-            values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
-        array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
-        set_uniforms(array.program, values)
-        array.render(moderngl.TRIANGLES, vertices=3)
+            views, _, width, _ = target.shape
+            framebuffer.viewport = (0, 0, *size)
+            framebuffer.use()
+            self._ctx.enable_only(moderngl.NOTHING)
+            values: dict[str, Any] = {"window": size, "view_width": width}
+            target.texture.use(UNITS["target"])
+            has_text = self._box[2] > 0
+            if has_text:
+                self._text.use(UNITS["text"])
+                values["text_box"] = self._box
+            if target.lift is not None:
+                values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
+            array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
+            set_uniforms(array.program, values)
+            array.render(moderngl.TRIANGLES, vertices=3)
 
     def _array(self, anaglyph: int, text: int, lifted: int) -> moderngl.VertexArray:
         """Return the vertex array of a program, compiled when it is first needed."""

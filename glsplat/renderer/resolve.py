@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.owned import LruCache
 from glsplat.renderer.stats import Box
 from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, ResolveVariant, Variant, set_uniforms

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from typing import Any
 
 from glsplat.config import MAX_SIGMA, RenderConfig
 from glsplat.errors import ShaderError
@@ -145,19 +146,13 @@ def variant_for(
     sh_degree: int = 3,  # of the cameras
     posed: bool = False,
     antialias: frozenset[bool] = frozenset({False}),  # flags of the scene's items
-    geometry: bool = False,
-    triangle: bool = False,
-    pulled: bool = False,
-    depth: bool = False,
-    occluded: bool = False,
-    sampled: int = 0,  # samples
-    numbered: bool = False,
     cones: bool = False,  # some splats have visibility cones
-    lit: bool = False,  # the scene has light, and some splats have a surface
+    **fields: Any,  # others of the variant, as numbers or bools
 ) -> Variant:
     """Return the smallest variant that draws a scene under ``config``."""
     degree = min(stored_degree, sh_degree, config.sh_degree)
     asked = antialias if config.antialias is None else frozenset({config.antialias})
+    others: dict[str, Any] = {name: int(value) for name, value in fields.items()}
     return Variant(
         sh_degree=degree,
         stored_degree=stored_degree,
@@ -165,16 +160,9 @@ def variant_for(
         turned=int(posed and degree > 0),
         views=views,
         antialias=2 if len(asked) > 1 else int(True in asked),
-        geometry=int(geometry),  # also for one view: it orders the vertices, and a pair has to equal its single renders
-        triangle=int(triangle),
-        pulled=int(pulled),
         cull_hidden=int(cones),
-        lit=int(lit),
         cut=int(config.max_sigma < MAX_SIGMA),
-        depth=int(depth),
-        occluded=int(occluded),
-        sampled=sampled,
-        numbered=int(numbered),
+        **others,
     )
 
 
