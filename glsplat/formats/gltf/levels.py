@@ -170,14 +170,11 @@ class _Reading:
         count = item(gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
         if not 0 < count < most:
             raise FormatError(f"{count} splats, the finest has {most}")
-        instance = Instance(primitive, node, self._placed(index), name, index)
+        above, world, parents = int(self._graph.parents[self._shown.index]), self._graph.world, self._graph.parents
+        # without a parent it hangs from that of the finest
+        matrix = world[index] if parents[index] >= 0 or above < 0 else world[above] @ world[index]
+        instance = Instance(primitive, node, matrix, name, index)
         return Level(self._content(instance, ours), density, number_of(ours.get("psnr")))
-
-    def _placed(self, index: int) -> Any:
-        """Return the global matrix [4, 4] of a level's node; without a parent it hangs from that of the finest."""
-        above = int(self._graph.parents[self._shown.index])
-        world = self._graph.world
-        return world[index] if self._graph.parents[index] >= 0 or above < 0 else world[above] @ world[index]
 
     def _content(self, instance: Instance, ours: dict[str, Any]) -> Splats | Avatar:
         rigged = instance.node.skin is not None and "JOINTS_0" in instance.primitive.attributes

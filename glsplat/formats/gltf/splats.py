@@ -109,12 +109,6 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
 
 def splats_in(container: Container) -> Splats | Avatar:
     """Return the splats of a parsed file, as ``read_gltf`` does; repairs are logged or, if strict, refused."""
-    scene = _scene(container)
-    container.warn()
-    return scene
-
-
-def _scene(container: Container) -> Splats | Avatar:
     gltf = container.gltf
     unknown = [name for name in gltf.extensions_required if name not in _KNOWN]
     if unknown:
@@ -125,9 +119,11 @@ def _scene(container: Container) -> Splats | Avatar:
         hint = "" if plugin("rigs.rows") else "; triangles are read by glsplat.extras.rigs, which is not installed"
         raise FormatError(f"a glTF file, but none of its meshes has splats (a POINTS primitive with {EXTENSION}){hint}")
     skinned = [i for i in found if i.node.skin is not None and "JOINTS_0" in i.primitive.attributes]
-    if skinned:
-        if len(found) > 1:
-            raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
+    if not skinned:
+        scene: Splats | Avatar = _merged(container, graph, found)
+    elif len(found) > 1:
+        raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
+    else:
         splats = read_splats(container, skinned[0].primitive, skinned[0].name)
         skeleton = read_skeleton(container, skinned[0], graph)
         note = container.note()
@@ -136,8 +132,9 @@ def _scene(container: Container) -> Splats | Avatar:
         stored = note.pop(SKIN_WEIGHTS, None)
         skin = read_skin(container, skinned[0], len(skeleton), len(splats), stored)
         shapes = shapes_of(container, skinned[0], len(splats))
-        return read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note, shapes=shapes))
-    return _merged(container, graph, found)
+        scene = read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note, shapes=shapes))
+    container.warn()
+    return scene
 
 
 def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats:
