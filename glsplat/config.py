@@ -41,7 +41,7 @@ def _choose(config: Any, **more: tuple[str | int | None, ...]) -> None:
 
     Raises GlsplatError if there is none.
     """
-    for name, choices in (_literals(type(config)) | more).items():
+    for name, choices in (_literals(type(config)) | more).items():  # type: ignore[arg-type]  # mypy takes no type for hashable
         value = getattr(config, name)
         kinds = ((bool, np.bool_), bool), (Integral, int), (str, str)  # also of numpy's scalars and of enums
         kind = next((plain for given, plain in kinds if isinstance(value, given)), type(value))

@@ -2,7 +2,7 @@
 
     python -m tools.data.visemes            # ten minutes; needs espeak-ng and flite
 
-Synthetic voices with known phonemes speak tools/data/spoken.py, with simulated microphones and noise.
+Synthetic voices with known phonemes speak tools/data/spoken.txt, with simulated microphones and noise.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from apps.progress import each
 from glsplat.arrays import F32
 from glsplat.extras.speech.cepstra import Cepstra
 from glsplat.extras.speech.table import Framing
-from tools.data.spoken import LEARNED
 from tools.data.voices import Said, espeak, flite
 
 FRAMING = Framing(
@@ -121,7 +120,7 @@ def heard(said: Said, rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]
 def examples(rng: np.random.Generator) -> tuple[F32, NDArray[np.int64]]:
     """Return all training inputs and labels."""
     found = []
-    for text in each(LEARNED, "sentences"):
+    for text in each(Path(__file__).with_name("spoken.txt").read_text("utf-8").splitlines(), "sentences"):
         for voice in ESPEAK:
             found.append(heard(espeak(text, voice, int(rng.integers(120, 210)), int(rng.integers(35, 70))), rng))
         found += [heard(flite(text, voice), rng) for voice in FLITE for _ in range(3)]
