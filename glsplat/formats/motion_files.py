@@ -111,20 +111,14 @@ def _read_path(path: Path, skeleton: Skeleton, forward: bool, choice: str | None
     with opened(path) as start:
         if start.size > _MAX_BYTES:
             raise PoseError(f"a motion file has at most {_MAX_BYTES >> 20} MiB, not {start.size >> 20}")
-        known = POSES if are_poses(start) else _recognised(start)
+        known = POSES if are_poses(start) else sniffed(start)
+        if known is None or known.read_motion is None:
+            if plugin("motions.rows") is None:
+                raise PoseError(missing("motions", "a motion that is not JSON poses"))
+            raise PoseError(f"expected {KINDS}, but this is {known.title if known else 'none of them'}")
         if choice is not None and known.load is None:  # a file of motions alone holds one
             raise PoseError(f"only glTF has several motions in a file; leave out #{choice[:40]}{more}")
-        read: Any = known.read_motion
-        return read(start, skeleton, forward, choice, corrections)
-
-
-def _recognised(start: Opened) -> Format:
-    known = sniffed(start)
-    if known is not None and known.read_motion is not None:
-        return known
-    if plugin("motions.rows") is None:
-        raise PoseError(missing("motions", "a motion that is not JSON poses"))
-    raise PoseError(f"expected {KINDS}, but this is {known.title if known else 'none of them'}")
+        return known.read_motion(start, skeleton, forward, choice, corrections)
 
 
 def are_poses(start: Opened) -> bool:

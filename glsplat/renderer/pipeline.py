@@ -127,7 +127,13 @@ class Pipeline(OwnsObjects):
             self._sort_on_host(views[0], timer, resort, bool(costed))
         else:
             if resort:
-                self._sort_on_gpu(self._sorter, timer, itemised=costed == 2)
+                self._key.run(arena.ranges)
+                timer.mark("key")
+                if costed == 2:
+                    self.item_costs = self._itemised(self._key.read()[2])
+                self._sorter.run(arena.ranges)
+                self._project.count = arena.most  # as long as only the GPU knows the number
+                self._counted = False
             self._splat_box = None
         timer.mark("sort")
         self._project.run(light, self._sorter.indirect if self._sorter else None)
@@ -136,15 +142,6 @@ class Pipeline(OwnsObjects):
         if self._sorter and costed:
             self._count()
         return resort
-
-    def _sort_on_gpu(self, sorter: GpuSorter, timer: StageTimer, itemised: bool) -> None:
-        self._key.run(self._arena.ranges)
-        timer.mark("key")
-        if itemised:
-            self.item_costs = self._itemised(self._key.read()[2])
-        sorter.run(self._arena.ranges)
-        self._project.count = self._arena.most  # as long as only the GPU knows the number
-        self._counted = False
 
     def _sort_on_host(self, view: Camera, timer: StageTimer, resort: bool, costed: bool) -> None:
         ranges = self._arena.ranges

@@ -21,6 +21,7 @@ from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.schema import Primitive
 from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.optional import missing, plugin
+from glsplat.pictures import to_linear
 from glsplat.splats import SH_C0, Splats, normalised
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -83,8 +84,7 @@ def _write_fallback(out: Output, splats: Splats, kind: type[np.uint8 | np.uint16
     colours[:, :3] = splats.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
     colours[:, 3] = splats.opacities
     np.clip(np.nan_to_num(colours, copy=False), 0, 1, out=colours)
-    srgb = colours[:, :3]
-    srgb[...] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    colours[:, :3] = to_linear(colours[:, :3])
     return out.add(np.rint(colours * np.iinfo(kind).max).astype(kind), "VEC4", normalized=True)
 
 
