@@ -100,7 +100,7 @@ class Viewer:
         self._context = context
         self.overlay = Overlay(options.numbers)
         self._held: set[str] = set()
-        self._shift = False
+        self.shift = False  # is held, for flight
         self._drag = ""
         self._cursor = (0.0, 0.0)
         self._text: tuple[Line, ...] = ()
@@ -155,7 +155,7 @@ class Viewer:
             direction = np.sum([_FLIGHT[key] for key in self._held], axis=0)
             # proportional to the size of the scene, slower near the target
             speed = max(0.05 * self._home.distance, 0.6 * min(self.view.distance, self._home.distance))
-            step = direction * speed * (3 if self._shift else 1) * min(seconds, _MAX_FLIGHT_S)
+            step = direction * speed * (3 if self.shift else 1) * min(seconds, _MAX_FLIGHT_S)
             self.view = self.view.moved(*map(float, step))
             self.dirty = True
 
@@ -163,7 +163,7 @@ class Viewer:
 
     def press(self, key: str, shift: bool = False, repeated: bool = False) -> None:
         """Handle a pressed (or repeated) key; names as in window.py."""
-        self._shift = shift
+        self.shift = shift
         if key in _FLIGHT:
             self._held.add(key)
         elif key in _TURNS and self.player is not None:
@@ -176,10 +176,6 @@ class Viewer:
     def release_key(self, key: str) -> None:
         """Handle a released key."""
         self._held.discard(key)
-
-    def hold_shift(self, down: bool) -> None:
-        """Handle shift while other keys are held."""
-        self._shift = down
 
     def drag(self, button: str, shift: bool = False) -> None:
         """Handle a pressed mouse button: left, middle, right, or \"\" if all are released."""

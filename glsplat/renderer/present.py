@@ -34,8 +34,8 @@ class Present:
             self._text = self._ctx.texture((1, 1), 4)
         self._box = (0, 0, 0, 0)
 
-    def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
-        """Set the text over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window; None removes it."""
+    def write_text(self, image: NDArray[np.uint8] | None) -> None:
+        """Set the text over the picture: premultiplied RGBA [h, w, 4] in the upper left corner; None removes it."""
         if image is None:
             self._box = (0, 0, 0, 0)
             return
@@ -45,7 +45,7 @@ class Present:
                 old, self._text = self._text, self._ctx.texture((width, height), 4)
                 old.release()
             self._text.write(np.ascontiguousarray(image))
-        self._box = (left, top, width, height)
+        self._box = (0, 0, width, height)
 
     def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
         """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; all layouts but mono need a pair.

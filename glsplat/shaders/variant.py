@@ -23,8 +23,20 @@ TARGETS = tuple(ROW_BITS)
 """Targets of a program: desktop OpenGL (GLSL 3.30 core), or WebGL2 (GLSL ES 3.00)."""
 
 
+class Options:
+    """Base of the options of a program: frozen dataclasses of numbers, and perhaps a ``target``."""
+
+    __slots__ = ()
+
+    def defines(self) -> dict[str, int]:
+        """Return the #defines by name: the fields, and numbers that follow from them."""
+        numbers = [field.name for field in fields(self) if field.name != "target"]  # type: ignore[arg-type]
+        values = {name.upper(): int(getattr(self, name)) for name in numbers}
+        return values | {"ES": int(getattr(self, "target", "330") == "es300")}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Variant:
+class Variant(Options):
     """Options of the passes of a frame. Every field becomes a #define; code of a field that is 0 is not compiled."""
 
     sh_degree: int = 0  # degree that is evaluated, 0 to 3; 0 keeps one colour for all views
@@ -64,7 +76,7 @@ class Variant:
 
     def defines(self) -> dict[str, int]:
         """Return the #defines by name: the fields, and numbers that follow from them."""
-        values = _numbers(self)
+        values = Options.defines(self)
         del values["STORED_DEGREE"]  # shaders use COLOUR_TEXELS instead
         values["COLOUR_TEXELS"] = COLOUR_TEXELS[self.stored_degree]
         values["ROW_BITS"] = ROW_BITS[self.target]
@@ -91,7 +103,7 @@ def record_layout(variant: Variant) -> list[tuple[str, int]]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SkinVariant:
+class SkinVariant(Options):
     """Options of the skin pass of one avatar."""
 
     influences: int = 4  # joints per splat: 1, 2, 4, 8
@@ -105,13 +117,9 @@ class SkinVariant:
             raise ShaderError(f"skin variant: influences is 1, 2, 4 or 8, not {self.influences}")
         _check_target(self.target)
 
-    def defines(self) -> dict[str, int]:
-        """Return the #defines by name."""
-        return _numbers(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeshVariant:
+class MeshVariant(Options):
     """Options of the mesh pass, which draws a textured mesh in one view."""
 
     influences: int = 4  # joints per vertex
@@ -120,11 +128,11 @@ class MeshVariant:
 
     def defines(self) -> dict[str, int]:
         """Return the #defines by name."""
-        return _numbers(self) | {"VIEWS": 1}
+        return Options.defines(self) | {"VIEWS": 1}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResolveVariant:
+class ResolveVariant(Options):
     """Options of the resolve pass, which makes the 8-bit picture of one view."""
 
     cull_hidden: int = 0  # compensate opacity for culled splats (lift.glsl)
@@ -135,7 +143,7 @@ class ResolveVariant:
 
     def defines(self) -> dict[str, int]:
         """Return the #defines by name."""
-        return _numbers(self) | {"VIEWS": 1, "GEOMETRY": 0}
+        return Options.defines(self) | {"VIEWS": 1, "GEOMETRY": 0}
 
 
 def variant_for(
@@ -164,12 +172,6 @@ def variant_for(
         cut=int(config.max_sigma < MAX_SIGMA),
         **others,
     )
-
-
-def _numbers(variant: Variant | SkinVariant | MeshVariant | ResolveVariant) -> dict[str, int]:
-    numbers = [field.name for field in fields(variant) if field.name != "target"]
-    values = {name.upper(): int(getattr(variant, name)) for name in numbers}
-    return values | {"ES": int(getattr(variant, "target", "330") == "es300")}
 
 
 def _check_target(target: str) -> None:

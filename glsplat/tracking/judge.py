@@ -106,8 +106,8 @@ class InputJudge:
             restart = True
         if restart and head is None:  # lost over a gap: stay where it was last seen
             head = last_head
-        if tracked:
-            raw = tuple(sample.head or ())
+        if tracked and sample.head is not None:
+            raw = tuple(sample.head)
             self._repeats = self._repeats + 1 if raw == self._last_head else 0
             self._last_head = raw
             if self._repeats * self._typical_dt > FROZEN_AFTER_S:

@@ -86,14 +86,14 @@ def learned(arms: F64, kinds: int = KINDS, seed: int = 0, steps: int = 200) -> A
     return mixture
 
 
-def with_others(mixture: ArmMixture, share: float = OTHERS, grow: float = WIDER) -> ArmMixture:
+def with_others(mixture: ArmMixture) -> ArmMixture:
     """Return the mixture with one more Gaussian as wide as all: the pack has hardly any hands on hips."""
     mean = mixture.shares @ mixture.means
     off = mixture.means - mean
     spread = np.einsum("k,kij->ij", mixture.shares, mixture.covariances + off[:, :, None] * off[:, None])
-    shares = np.append(mixture.shares * (1 - share), share)
+    shares = np.append(mixture.shares * (1 - OTHERS), OTHERS)
     return ArmMixture(
-        shares, np.vstack([mixture.means, mean]), np.concatenate([mixture.covariances, grow * spread[None]])
+        shares, np.vstack([mixture.means, mean]), np.concatenate([mixture.covariances, WIDER * spread[None]])
     )
 
 

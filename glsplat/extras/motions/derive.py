@@ -13,7 +13,7 @@ from glsplat.extras.motions.batch import forward_all, resample
 from glsplat.motion.motion import Motion
 from glsplat.rotations import matrix_quaternions, quaternion_product, vector_quaternions
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.mounts import JOINTS
+from glsplat.tracking.calibration import JOINTS
 from glsplat.tracking.sample import BODY_JOINTS, TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, FEET, HAND_FRAMES, HEAD, HIPS, KNEES, PELVIS, SPINE1, WRISTS, Body
 from glsplat.tracking.solve.quat import Vec
