@@ -162,11 +162,6 @@ class GpuScene:
         """Whether meshes are drawn at the pixel centres: splats are drawn as well, or there is one sample a pixel."""
         return bool(self._placed_meshes) and (self._samples == 1 or self.arena.shown_splats > 0)
 
-    @staticmethod
-    def shared(ordinal: int) -> bool:
-        """Return whether other passes of a call may use the same pipeline as pass number ``ordinal``."""
-        return ordinal >= PASSES - 1
-
     def pipeline(self, views: Sequence[Camera], ordinal: int, depth: bool = False) -> Pipeline:
         """Return the pipeline that draws these views as pass number ``ordinal`` of the call."""
         arena = self.arena

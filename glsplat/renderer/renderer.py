@@ -21,7 +21,7 @@ from glsplat.gl.owner import ContextGuard, release_later
 from glsplat.renderer import checks
 from glsplat.renderer.checks import Depths, Images, Pixel, Views
 from glsplat.renderer.draw import Slices
-from glsplat.renderer.gpu_scene import GpuScene
+from glsplat.renderer.gpu_scene import PASSES, GpuScene
 from glsplat.renderer.levels import Selector
 from glsplat.renderer.owned import LruCache
 from glsplat.renderer.pipeline import Pipeline
@@ -335,7 +335,8 @@ class Renderer:
         self, cameras: Sequence[Camera], ordinal: int, depth: bool = False, costed: int = 0, done: bool = False
     ) -> Pipeline:
         """Do steps 1 to 3 (key, sort, project) of pass number ``ordinal``, and return its pipeline."""
-        pipeline, shared = self._scene.pipeline(cameras, ordinal, depth), self._scene.shared(ordinal)
+        pipeline = self._scene.pipeline(cameras, ordinal, depth)
+        shared = ordinal >= PASSES - 1  # with later passes of the call
         if shared or not done:
             light = self._scene.light
             resorted = pipeline.make_records(cameras, self._order(cameras), self.timer, costed, shared, light)

@@ -15,6 +15,7 @@ from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
+from glsplat.formats.gltf import rig
 from glsplat.formats.gltf.container import Container, read_container
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.morphs import QUANTIZATION, shapes_of, write_shapes
@@ -29,14 +30,6 @@ from glsplat.formats.gltf.primitive import (
     packed_view,
     read_splats,
     write_splats,
-)
-from glsplat.formats.gltf.rig import (
-    SKIN_WEIGHTS,
-    read_skeleton,
-    read_skin,
-    weights_note,
-    write_influences,
-    write_skeleton,
 )
 from glsplat.formats.gltf.schema import Gltf, Mesh, Node, Scene
 from glsplat.formats.transform import transformed
@@ -92,10 +85,10 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     if isinstance(scene, Avatar):
         if scene.shapes is not None:
             write_shapes(out, scene.shapes, gltf.meshes[0], primitive)
-        write_influences(out, scene.skin, len(scene.skeleton), primitive.attributes)
-        write_skeleton(out, scene.skeleton)
+        rig.write_influences(out, scene.skin, len(scene.skeleton), primitive.attributes)
+        rig.write_skeleton(out, scene.skeleton)
         note |= dict(scene.meta)
-        note |= weights_note(scene.skin)
+        note |= rig.weights_note(scene.skin)
     note.pop(ANTIALIAS, None)  # the splats decide, whatever an avatar's metadata says
     note.pop(COLOUR, None)
     if splats.antialias:
@@ -125,12 +118,12 @@ def splats_in(container: Container) -> Splats | Avatar:
         raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
     else:
         splats = read_splats(container, skinned[0].primitive, skinned[0].name)
-        skeleton = read_skeleton(container, skinned[0], graph)
+        skeleton = rig.read_skeleton(container, skinned[0], graph)
         note = container.note()
         note.pop(ANTIALIAS, None)
         note.pop(COLOUR, None)
-        stored = note.pop(SKIN_WEIGHTS, None)
-        skin = read_skin(container, skinned[0], len(skeleton), len(splats), stored)
+        stored = note.pop(rig.SKIN_WEIGHTS, None)
+        skin = rig.read_skin(container, skinned[0], len(skeleton), len(splats), stored)
         shapes = shapes_of(container, skinned[0], len(splats))
         scene = read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note, shapes=shapes))
     container.warn()
