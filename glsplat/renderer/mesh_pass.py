@@ -1,4 +1,4 @@
-"""Meshes: their buffers, and the pass that draws their colours and the z that splats are tested against, before these.
+"""Meshes: their buffers, and the pass that draws them before the splats: colours, and the z that hides splats.
 
 The views of a frame have a target each and are drawn in turn: moderngl cannot attach a layered depth buffer, and in one
 target the coordinates of the second view would round differently from those of its own render. Bones are written once.
