@@ -349,21 +349,15 @@ def degrees(text: str) -> float:
     return value
 
 
-def _three(text: str) -> tuple[float, float, float]:
-    """Parse three numbers with commas between them; NaN for other texts."""
+def point(text: str) -> tuple[float, float, float]:
+    """Parse a point x,y,z in metres (argparse type)."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        return np.nan, np.nan, np.nan
+        raise argparse.ArgumentTypeError(f"a point is x,y,z, for example 0,1,3, not {text!r}") from None
+    if not np.isfinite((x, y, z)).all():
+        raise argparse.ArgumentTypeError(f"a point is three finite numbers, not {text!r}")
     return x, y, z
-
-
-def point(text: str) -> tuple[float, float, float]:
-    """Parse a point x,y,z in metres (argparse type)."""
-    found = _three(text)
-    if not np.isfinite(found).all():
-        raise argparse.ArgumentTypeError(f"a point is x,y,z, for example 0,1,3, all finite, not {text!r}")
-    return found
 
 
 def expression(text: str) -> Mapping[str, float]:
@@ -383,7 +377,10 @@ def expression(text: str) -> Mapping[str, float]:
 
 def colour(text: str) -> tuple[float, float, float]:
     """Parse red,green,blue from 0 to 1 (argparse type)."""
-    found = _three(text)
-    if not all(0 <= part <= 1 for part in found):
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        red = green = blue = np.nan
+    if not (0 <= red <= 1 and 0 <= green <= 1 and 0 <= blue <= 1):
         raise argparse.ArgumentTypeError(f"a colour is R,G,B from 0 to 1, for example 0.2,0.2,0.2, not {text!r}")
-    return found
+    return red, green, blue
