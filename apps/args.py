@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,17 +65,11 @@ def _lit(file: SceneFile, args: Any) -> SceneFile:
     name = getattr(args, "light", None)
     if name is not None:
         file.scene.light = None if name == "none" else light_of(name)
-        if file.scene.light is not None and not any(_has_surface(item.content) for item in file.scene.items):
+        splats = [item.content for item in file.scene.items if not isinstance(item.content, RiggedMesh)]
+        every = [one for content in splats for one in (content, *(level.content for level in content.levels))]
+        if file.scene.light is not None and all(splats_of(one).surface is None for one in every):
             print("--light: nothing here knows its surface, so nothing is lit (docs/light.md)", file=sys.stderr)
     return file
-
-
-def _has_surface(content: Content) -> bool:
-    """Return whether the content, or one of its levels, has a surface."""
-    if isinstance(content, RiggedMesh):
-        return False
-    each = (content, *(level.content for level in content.levels))
-    return any(splats_of(one).surface is not None for one in each)
 
 
 def light_of(text: str) -> Light:
@@ -315,10 +309,9 @@ def detail_level(text: str) -> int | str:
     """Parse a level of detail, a number or auto (argparse type)."""
     if text == "auto":
         return text
-    number = natural(text)
-    if number > MAX_LEVELS:
+    if not text.isdecimal() or int(text) > MAX_LEVELS:
         raise argparse.ArgumentTypeError(f"a level is 0 to {MAX_LEVELS} or auto, not {text!r}")
-    return number
+    return int(text)
 
 
 def size(text: str) -> tuple[int, int]:
@@ -333,30 +326,19 @@ def size(text: str) -> tuple[int, int]:
     return width, height
 
 
+natural = whole(0)
+"""Parse a whole number of at least 0 (argparse type)."""
+
+not_negative = Number(0)
+"""Parse a finite number of at least 0 (argparse type)."""
+
+
 def positive(text: str) -> float:
     """Parse a finite number above 0 (argparse type)."""
-    return _number(text, lambda value: 0 < value < np.inf, "above 0")
-
-
-def not_negative(text: str) -> float:
-    """Parse a finite number of at least 0 (argparse type)."""
-    return _number(text, lambda value: 0 <= value < np.inf, "of at least 0")
-
-
-def _number(text: str, allowed: Callable[[float], bool], words: str) -> float:
-    try:
-        if allowed(value := float(text)):
-            return value
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"a finite number {words} is needed, not {text!r}")
-
-
-def natural(text: str) -> int:
-    """Parse a whole number of at least 0 (argparse type)."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a whole number of at least 0 is needed, not {text!r}")
-    return int(text)
+    value = not_negative(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"needs a number above 0, not {text!r}")
+    return value
 
 
 def degrees(text: str) -> float:

@@ -16,6 +16,7 @@ from glsplat.data import embedded_file
 from glsplat.extras.consent.file import OnFile, on_file
 from glsplat.formats import recognise
 from glsplat.formats.scene_file import SceneFile
+from glsplat.io.files import printable
 from glsplat.meshes import RiggedMesh
 from glsplat.scene import is_rigged
 from glsplat.skinning.driven import why_not_driven, why_not_tracked
@@ -124,7 +125,7 @@ def _scene_text(report: dict[str, Any]) -> str:
         words += [f"moves by {entry['motion']['name']}"] if entry.get("motion") else []
         words += [] if entry["visible"] else ["hidden"]
         lines.append(f"  {entry['item']:<4} {entry['name'] or '-'}: " + ", ".join(words))
-    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+    return "\n".join(map(printable, lines))
 
 
 def _mesh_text(report: dict[str, Any]) -> str:
@@ -144,8 +145,7 @@ def _mesh_text(report: dict[str, Any]) -> str:
 def _wrapped(lines: list[str], rows: list[tuple[str, str]]) -> str:
     for key, text in rows:
         # a file's control characters must not reach the terminal
-        clean = "".join(c if c.isprintable() else "?" for c in f"  {key:12} {text}")
-        lines += textwrap.wrap(clean, 110, subsequent_indent=" " * 15)
+        lines += textwrap.wrap(printable(f"  {key:12} {text}"), 110, subsequent_indent=" " * 15)
     return "\n".join(lines)
 
 
@@ -296,15 +296,13 @@ def _outliers(means: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 def _notes(meta: dict[str, Any], agreed: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Return rows of a file's metadata, and of the verified consent record, as a text alone is not signed."""
-    rows = [(key, _note_text(key, value)) for key, value in meta.items() if key != "consent" or isinstance(value, str)]
+    rows = []
+    for key, value in meta.items():
+        if key == "unseen" and isinstance(value, (int, float)) and 0 <= value <= 1:
+            rows.append((key, f"{value:.0%} of the surface was in no photograph and is guessed"))
+        elif key != "consent" or isinstance(value, str):
+            rows.append((key, value if isinstance(value, str) else json.dumps(value)))
     return rows if agreed is None else [*rows, ("signed", consent.full_text(agreed))]
-
-
-def _note_text(key: str, value: Any) -> str:
-    """Return an entry of an avatar's metadata as text."""
-    if key == "unseen" and isinstance(value, (int, float)) and 0 <= value <= 1:
-        return f"{value:.0%} of the surface was in no photograph and is guessed"
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 _COLOURS = {None: "baked", False: "albedo", True: "shaded"}

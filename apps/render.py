@@ -125,7 +125,11 @@ def run(args: argparse.Namespace) -> int:
     plays = bool(scene.motions) and args.frame is None and not args.motion and not args.pose and _is_sequence(output)
     sequence = args.turntable is not None or (args.motion is not None and args.frame is None) or plays
     sequence = sequence or args.speech is not None
-    sound = None if args.speech is None else _sound_of(args.speech)
+    sound: Sound | None = None
+    if args.speech is not None:
+        if (speech := plugin("speech.sound")) is None:
+            raise GlsplatError(missing("speech", "--speech"))
+        sound = speech.read_wav(args.speech)
     count, shots = _shots(args, scene, plays, sound)
     _check_output(args, sequence)  # after the motion: a missing motion is the more likely mistake
     first = next(shots)
@@ -146,8 +150,13 @@ def run(args: argparse.Namespace) -> int:
         ) as renderer:
             picture = joined_views if args.alpha else side_by_side
             if sequence:
-                pictures = (picture(_rendered(renderer, scene, shot)) for shot in chain([first], shots))
-                _save_sequence(args, pictures, count, sound)
+
+                def rendered() -> Iterator[NDArray[Any]]:
+                    for shot in chain([first], shots):
+                        scene.pose_at(shot.seconds)
+                        yield picture(renderer.render(shot.cameras, shot.pose))
+
+                _save_sequence(args, rendered(), count, sound)
             else:
                 scene.pose_at(first.seconds)
                 if args.depth:
@@ -160,19 +169,11 @@ def run(args: argparse.Namespace) -> int:
                 else:
                     save_png(output, picture(images))
             if args.json:
-                print(json.dumps(_report(renderer)))
+                made = {"backend": context.backend, "variant": asdict(renderer.variant), "gpu_bytes": renderer.nbytes()}
+                print(json.dumps(made | frame_report(renderer)))
     finally:
         context.release()
     return 0
-
-
-def _sound_of(path: str) -> Sound:
-    """Read the sound of --speech. Raises GlsplatError where it cannot be read, or extras/speech is not installed."""
-    module = plugin("speech.sound")
-    if module is None:
-        raise GlsplatError(missing("speech", "--speech"))
-    sound: Sound = module.read_wav(path)
-    return sound
 
 
 @dataclass(frozen=True)
@@ -297,11 +298,6 @@ def _face(args: argparse.Namespace, scene: SceneFile, option: str = "--expressio
     return with_face
 
 
-def _rendered(renderer: Renderer, scene: SceneFile, shot: _Shot) -> NDArray[Any]:
-    scene.pose_at(shot.seconds)
-    return renderer.render(shot.cameras, shot.pose)
-
-
 def _view(args: argparse.Namespace, scene: SceneFile, angle: float = 0.0) -> list[Camera]:
     eye, target = viewing_point(scene.scene, args.fov)
     eye = eye if args.eye is None else np.array(args.eye)
@@ -324,12 +320,3 @@ def _save_sequence(args: argparse.Namespace, pictures: Iterator[NDArray[Any]], c
     make_folder(path)
     for number, picture in enumerate(frames):
         save_png(path / f"{number:05d}.png", picture)
-
-
-def _report(renderer: Renderer) -> dict[str, object]:
-    return {
-        "backend": renderer.context.backend,
-        "variant": asdict(renderer.variant),
-        "gpu_bytes": renderer.nbytes(),
-        **frame_report(renderer),
-    }

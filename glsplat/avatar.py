@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from types import NoneType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.arrays import frozen_mapping, listed
+from glsplat.arrays import frozen_mapping, instance, listed
 from glsplat.errors import FormatError
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.shapes import Shapes
@@ -43,12 +44,10 @@ class Avatar:
 
     def __post_init__(self) -> None:
         for name, kind in (("splats", Splats), ("skeleton", Skeleton), ("skin", Skin), ("meta", Mapping)):
-            if not isinstance(getattr(self, name), kind):
-                raise FormatError(f"an avatar's {name} needs {kind.__name__}, not {type(getattr(self, name)).__name__}")
+            instance(getattr(self, name), kind, f"an avatar's {name}")
         if len(self.skin) != len(self.splats):
             raise FormatError(f"an avatar needs one skin row a splat, not {len(self.skin)} for {len(self.splats)}")
-        if self.shapes is not None and not isinstance(self.shapes, Shapes):
-            raise FormatError(f"an avatar's shapes needs Shapes, not {type(self.shapes).__name__}")
+        instance(self.shapes, (Shapes, NoneType), "an avatar's shapes")
         if self.shapes is not None and self.shapes.splats != len(self.splats):
             raise FormatError(f"shapes of {self.shapes.splats} splats are not of the avatar's {len(self.splats)}")
         if len(self.skin) and int(self.skin.joints.max()) >= len(self.skeleton):

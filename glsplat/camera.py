@@ -169,7 +169,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
     >>> (view @ [0, 0, 0, 1])[:3].tolist()  # the target lies 3 m ahead
     [0.0, 0.0, 3.0]
     """
-    start, end, above = _vector(eye, "eye", 3), _vector(target, "target", 3), _vector(up, "up", 3)
+    start, end, above = _vector(eye, "eye"), _vector(target, "target"), _vector(up, "up")
     if max(np.abs(start).max(), np.abs(end).max()) > _MAX_VALUE:
         raise FormatError(f"eye and target need metres below {_MAX_VALUE:g}")
     forward, most = end - start, float(np.abs(above).max())
@@ -196,7 +196,7 @@ def head_matrix(position: ArrayLike, quat_xyzw: ArrayLike) -> NDArray[np.float64
     norm = float(np.linalg.norm(quat))
     if quat.shape != (4,) or not 1e-9 < norm < inf:
         raise FormatError(f"a head pose needs a finite quaternion of non-zero length, not {quat.tolist()!r:.60}")
-    px, py, pz = _vector(position, "a head's position", 3).tolist()
+    px, py, pz = _vector(position, "a head's position").tolist()
     x, y, z, w = (value / norm for value in quat.tolist())  # plain floats: a matrix is made for every request
     xx, yy, zz, ww = x**2, y**2, z**2, w**2
     scale = 1 / (xx + yy + zz + ww)
@@ -314,8 +314,8 @@ def _check_matrices(view: list[list[float]], k: list[list[float]]) -> None:
         raise FormatError(f"a camera needs fx, fy > 0, not {fx:g} and {fy:g}")
 
 
-def _vector(value: ArrayLike, what: str, length: int) -> NDArray[np.float64]:
+def _vector(value: ArrayLike, what: str) -> NDArray[np.float64]:
     vector = plain(value, what).astype(np.float64)
-    if vector.shape != (length,) or not np.isfinite(vector).all():
-        raise FormatError(f"{what} needs {length} finite numbers, not {value!r:.60}")
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise FormatError(f"{what} needs 3 finite numbers, not {value!r:.60}")
     return vector

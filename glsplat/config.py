@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from numbers import Integral
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -29,16 +30,25 @@ Target = Literal["auto", "fast", "8", "16f", "32f"]
 Output = Literal["float32", "uint8"]
 
 
-def _choose(config: Any, name: str, *choices: str | int | None) -> None:
-    """Normalise a field to the equal choice of the same type. Raises GlsplatError if there is none."""
-    value = getattr(config, name)
-    kinds = ((bool, np.bool_), bool), (Integral, int), (str, str)  # also of numpy's scalars and of enums
-    kind = next((plain for given, plain in kinds if isinstance(value, given)), type(value))
-    for choice in choices:
-        if type(choice) is kind and choice == value:
-            object.__setattr__(config, name, choice)
-            return
-    raise GlsplatError(f"{name} needs one of {', '.join(map(str, choices))}, not {value!r:.60}")
+@cache
+def _literals(kind: Any) -> dict[str, tuple[Any, ...]]:
+    """Return the choices of the fields of literal types, by name."""
+    return {name: get_args(hint) for name, hint in get_type_hints(kind).items() if get_origin(hint) is Literal}
+
+
+def _choose(config: Any, **more: tuple[str | int | None, ...]) -> None:
+    """Normalise the fields of literal types, and of ``more`` (name: choices), to the equal choice of the same type.
+
+    Raises GlsplatError if there is none.
+    """
+    for name, choices in (_literals(type(config)) | more).items():  # type: ignore[arg-type]  # mypy takes no type for hashable
+        value = getattr(config, name)
+        kinds = ((bool, np.bool_), bool), (Integral, int), (str, str)  # also of numpy's scalars and of enums
+        kind = next((plain for given, plain in kinds if isinstance(value, given)), type(value))
+        found = [choice for choice in choices if type(choice) is kind and choice == value]
+        if not found:
+            raise GlsplatError(f"{name} needs one of {', '.join(map(str, choices))}, not {value!r:.60}")
+        object.__setattr__(config, name, found[0])
 
 
 def _limit(config: Any, name: str, least: float, most: float, unit: str = "") -> None:
@@ -76,15 +86,7 @@ class DebugConfig:
     mesh_anisotropy: Literal[1, 2, 4, 8, 16] = 16  # maximum anisotropy of mesh textures
 
     def __post_init__(self) -> None:
-        _choose(self, "layers", "auto", "vertex", "geometry")
-        _choose(self, "shape", "auto", "quad", "triangle")
-        _choose(self, "fetch", "auto", "attributes", "storage")
-        _choose(self, "order", "shared", "per_view")
-        _choose(self, "sort_bits", 16, 32)
-        _choose(self, "rotation", "polar", "raw")
-        _choose(self, "influences", 0, 1, 2, 4, 8)
-        _choose(self, "mesh_samples", 1, 4)
-        _choose(self, "mesh_anisotropy", 1, 2, 4, 8, 16)
+        _choose(self)
         object.__setattr__(self, "sort_period", count(self.sort_period, "sort_period", GlsplatError))
         if not 1 <= self.sort_period <= 1000:
             raise GlsplatError(f"sort_period needs 1 to 1000 frames, not {self.sort_period}")
@@ -119,13 +121,8 @@ class RenderConfig:
     debug: DebugConfig = DebugConfig()
 
     def __post_init__(self) -> None:
-        _choose(self, "target", "auto", "fast", "8", "16f", "32f")
-        _choose(self, "output", "float32", "uint8")
-        _choose(self, "sorter", "auto", "cpu", "gpu")
-        _choose(self, "sh_degree", 0, 1, 2, 3)
-        _choose(self, "antialias", None, False, True)
-        _choose(self, "cull_hidden", False, True, "auto")
-        _choose(self, "level", "auto", *range(MAX_LEVELS + 1))
+        flags, levels = (None, False, True), ("auto", *range(MAX_LEVELS + 1))
+        _choose(self, sh_degree=(0, 1, 2, 3), antialias=flags, cull_hidden=(False, True, "auto"), level=levels)
         _limit(self, "lod_bias", -MAX_BIAS, MAX_BIAS)
         sigma = number(self.max_sigma, "max_sigma", GlsplatError)
         if not 0 < sigma <= MAX_SIGMA:

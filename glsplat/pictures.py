@@ -55,7 +55,7 @@ def lifted(image: NDArray[Float], background: tuple[float, float, float]) -> NDA
     return image * (1 + more) - more * np.asarray((*background, 0), image.dtype)
 
 
-def to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_linear(srgb: NDArray[Float]) -> NDArray[Float]:
     """Return linear light of sRGB values from 0 to 1, any shape (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 

@@ -134,8 +134,11 @@ class Splats(Value):
                 raise FormatError(f"sh needs shape ({n}, 1|4|9|16, 3) for SH degree 0 to 3, not {found}")
             if own_ones[name].shape != shape:
                 raise FormatError(f"{name} needs shape {shape}, not {own_ones[name].shape}")
-        if not _are_unit(own_ones["quats"]):
-            own_ones["quats"] = frozen(normalised(own_ones["quats"]))
+        turns = own_ones["quats"]
+        with np.errstate(all="ignore"):
+            unit = bool((np.abs(np.einsum("ij,ij->i", turns, turns) - 1) <= _UNIT_TOLERANCE).all())
+        if not unit:
+            own_ones["quats"] = frozen(normalised(turns))
         held = None if cones is None else own_whole(cones, np.int8, "cones")
         if held is not None and held.shape != (n, 4):
             raise FormatError(f"cones needs int8 of shape ({n}, 4), not {held.shape}")
@@ -177,7 +180,12 @@ class Splats(Value):
             raise FormatError("a splat needs exactly one of sh and rgb")
         if sh is None:
             assert rgb is not None
-            sh = _sh_of(rgb)
+            colours = shares(rgb, "rgb", hint=", or give sh for more light")
+            colours = colours.reshape(0, 3) if colours.shape == (0,) else colours
+            if colours.ndim != 2 or colours.shape[1] != 3:
+                raise FormatError(f"rgb needs shape (N, 3), not {colours.shape}")
+            with np.errstate(over="ignore"):
+                sh = frozen(((colours.astype(np.float64) - 0.5) / SH_C0)[:, None, :].astype(np.float32))
         alphas = plain(opacities, "opacities")
         alphas = alphas.reshape(-1) if alphas.ndim == 0 or alphas.shape[1:] == (1,) else alphas
         return cls(means, quats, scales, alphas, sh, antialias, cones, cones_psnr, surface=surface)
@@ -250,19 +258,3 @@ def normalised(quats: NDArray[np.float32]) -> NDArray[np.float32]:
         scaled = quats / np.where(usable, peak, 1)
         unit = scaled / np.where(usable, np.linalg.norm(scaled, axis=-1, keepdims=True), 1)
     return np.where(usable, unit, quats).astype(np.float32)
-
-
-def _are_unit(quats: NDArray[np.float32]) -> bool:
-    """Return whether all quaternions are unit within float32 rounding."""
-    with np.errstate(all="ignore"):
-        return bool((np.abs(np.einsum("ij,ij->i", quats, quats) - 1) <= _UNIT_TOLERANCE).all())
-
-
-def _sh_of(rgb: ArrayLike) -> NDArray[np.float32]:
-    """Return the SH coefficients [N, 1, 3] of plain colours."""
-    colours = shares(rgb, "rgb", hint=", or give sh for more light")
-    colours = colours.reshape(0, 3) if colours.shape == (0,) else colours
-    if colours.ndim != 2 or colours.shape[1] != 3:
-        raise FormatError(f"rgb needs shape (N, 3), not {colours.shape}")
-    with np.errstate(over="ignore"):
-        return frozen(((colours.astype(np.float64) - 0.5) / SH_C0)[:, None, :].astype(np.float32))

@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
+from apps.demo import running_server
+from glsplat.config import RenderConfig
 from glsplat.data import default_avatar
 from glsplat.formats import load, save
 from tests.needs import program, require
 from tests.scene.people import boxes, save_person
 from tests.scenes import limb
 from tests.skinning.avatars import part
-from tools.docs.gallery import served
 
 ROOT = Path(__file__).resolve().parents[1]
 CLIENT = ROOT / "docs" / "examples" / "client.mjs"
@@ -74,7 +75,7 @@ def test_two_people(run: Run) -> None:
 @pytest.fixture
 def url() -> Iterator[str]:
     """A server of the default avatar."""
-    with served() as address:
+    with running_server(None, RenderConfig()) as address:
         yield address
 
 

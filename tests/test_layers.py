@@ -36,10 +36,9 @@ FLOORS = [
 WITHIN = {
     "renderer": [
         ["checks", "frame_block", "levels", "owned", "stats"],
-        ["bounds", "lru_cache", "project", "sort"],
+        ["bounds", "project", "sort"],
         ["stage"],
         ["gpu_sort", "skin", "targets"],
-        ["mesh_buffers"],
         ["arena", "draw", "mesh_pass", "present", "read_back", "resolve"],
         ["key"],
         ["pipeline"],

@@ -11,18 +11,32 @@ from pathlib import Path
 
 from glsplat.camera import PAPER_FOV, PAPER_IPD, pinhole
 from glsplat.config import RenderConfig
-from glsplat.errors import FormatError
+from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.motion_files import KINDS
 from glsplat.formats.scene_file import SceneFile
 from glsplat.motion.motion import Motion
+from glsplat.optional import has_extra, missing
 from glsplat.scene import skeleton_of
 from glsplat.skinning.driven import why_not_driven
 from glsplat.skinning.pose import Pose, load_pose
+from glsplat.tracking.solvers import SOLVERS
 
-from ..args import add_detail, add_light, add_scene, colour, detail_of, driven, open_scene, point, size, tracked, whole
+from ..args import (
+    add_detail,
+    add_light,
+    add_scene,
+    add_solver,
+    colour,
+    detail_of,
+    driven,
+    open_scene,
+    point,
+    size,
+    tracked,
+    whole,
+)
 from ..output import save_png
 from ..usage import UsageError
-from . import headset_options
 from .cameras import Options
 from .connect import StreamedPictures, read_tracked
 from .feed import feed_of
@@ -34,6 +48,10 @@ HELP = "Show a scene or a moving avatar in a window: orbit, fly, pose it by hand
 EXAMPLE = "glsplat preview --motion walk --layout anaglyph"
 
 _CLOCK_FPS = 30.0  # of the motion under --frames
+
+VIEWS = ("mirror", "facing", "own")  # of glsplat.extras.openxr.placing, which may not be installed
+_XR_ONLY = ("url", "view", "passthrough", "no_floor", "window", "scale", "record", "height", "calibration")
+_NOT_XR = ("motion", "pose", "paused", "eye", "target", "connect", "recording", "numbers", "vsync")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +96,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     server.add_argument("--quality", type=whole(1, 100), help="JPEG quality, 1 to 100 (default: the server's)")
     server.add_argument("--token-file", type=Path, metavar="FILE", help="token of the server")
     server.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificate to trust on wss://")
-    headset_options.add_arguments(parser)
+    group = parser.add_argument_group("on a headset", "by OpenXR: SteamVR, Link, WiVRn, Monado; docs/openxr.md")
+    group.add_argument("--xr", action="store_true", help="show on this computer's headset; the wearer moves the avatar")
+    group.add_argument("--url", metavar="URL", help="show the pictures of `glsplat serve` at ws://HOST:PORT/ws")
+    group.add_argument("--view", choices=VIEWS, help="view at the start (default mirror); button A or X switches")
+    group.add_argument(
+        "--passthrough", action="store_true", help="show the real room around the wearer, if the headset can"
+    )
+    group.add_argument("--no-floor", action="store_true", help="draw no floor")
+    group.add_argument("--window", action="store_true", help="mirror the wearer's view in a window (--size)")
+    group.add_argument("--scale", type=float, metavar="F", help="factor of the headset's picture size (default 1)")
+    group.add_argument("--record", metavar="FILE", help="record head, hands and other tracked data (.jsonl)")
+    group.add_argument("--height", type=float, help="height of the wearer in metres (default: estimated from motion)")
+    group.add_argument(
+        "--calibration", metavar="JSON", help="calibration of `glsplat tracking calibrate`, instead of --height"
+    )
+    add_solver(group)  # type: ignore[arg-type]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -154,7 +187,7 @@ def loop(window: Window, viewer: Viewer, frames: int | None = None) -> None:
 def _frames(args: argparse.Namespace) -> int | None:
     """Return the number of pictures (None: no limit). Raises for invalid options before a window opens."""
     pinhole(1, 1, args.fov)
-    headset_options.check(args)
+    check_headset(args)
     _check_connect(args)
     if args.screenshot is None:
         return args.frames
@@ -164,6 +197,38 @@ def _frames(args: argparse.Namespace) -> int | None:
     if not path.parent.is_dir():
         raise FormatError(f"{path}: there is no folder {path.parent}; create it first")
     return args.frames or 1
+
+
+def check_headset(args: argparse.Namespace) -> None:
+    """Raise UsageError for options that contradict each other, GlsplatError without OpenXR's extra."""
+    if not args.xr:
+        for name in _XR_ONLY:
+            if getattr(args, name) not in (None, False):
+                raise UsageError(f"--{name.replace('_', '-')} goes with --xr")
+        return
+    if not has_extra("openxr"):
+        raise GlsplatError(missing("openxr", "--xr"))
+    for name in _NOT_XR:
+        if getattr(args, name) not in (None, False):
+            hint = "; a server's pictures there: --url" if name == "connect" else ": its wearer moves the avatar"
+            raise UsageError(f"--{name} does not go with --xr{hint}")
+    if args.height is not None and (args.calibration is not None or args.url is not None):
+        raise UsageError("--height goes neither with --calibration nor with --url, where the address has height=METRES")
+    if args.scale is not None and not 0.05 <= args.scale <= 4:
+        raise UsageError(f"--scale needs 0.05 to 4, not {args.scale:g}")
+    if args.record is not None and not args.record.lower().endswith(".jsonl"):
+        raise UsageError(f"--record {args.record}: the name needs to end in .jsonl")
+    if args.url is None and (args.token_file is not None or args.tls_ca is not None or args.quality is not None):
+        raise UsageError("--token-file, --tls-ca and --quality go with --url")
+    if args.url is not None:
+        given = any(getattr(args, name) is not None for name in ("light", "level", "lod_bias", "calibration"))
+        if given or args.cull_hidden or args.exact or args.solver != SOLVERS[0]:
+            raise UsageError(
+                "--light, --level, --lod-bias, --cull-hidden, --exact, --calibration and --solver do not go with --url:"
+                " a server decides"
+            )
+    if args.background is not None and (args.url is not None or args.passthrough):
+        raise UsageError("--background does not go with --url and --passthrough: there it is black, or the room")
 
 
 def _check_connect(args: argparse.Namespace) -> None:
@@ -207,7 +272,7 @@ def _drive(args: argparse.Namespace, scene: SceneFile) -> Pose | Motion | None:
 def _start(args: argparse.Namespace, drive: Pose | Motion | None, viewer: Viewer) -> None:
     """Start the pose or motion of the options, of the scene file, or the first embedded motion that fits."""
     if args.paused:
-        viewer.others.playing = False
+        viewer.others.moving = False
     if viewer.player is None:
         return
     if isinstance(drive, Pose):

@@ -6,18 +6,17 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import cv2
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
 
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
+from glsplat.renderer.pipeline import view_state
 from glsplat.renderer.targets import Target
 from glsplat.scene import SceneLike
-from glsplat.skinning.pose import EXPRESSION, Pose
+from glsplat.skinning.pose import EXPRESSION
 from glsplat.skinning.smplx import JOINT_NAMES
 
 from ..replay.command import Recording, load_drive
@@ -52,7 +51,7 @@ class StreamedPictures:
 
     def __init__(self, feed: Feed, context: moderngl.Context) -> None:
         self._feed, self._ctx = feed, context
-        self._request: ViewRequest | None = None
+        self._requested: object = None  # the state of the last request
         self._picture: Picture | None = None
         self._shown = 0
         self._age_ms = 0.0
@@ -71,9 +70,9 @@ class StreamedPictures:
 
     def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
         """Send the view if it changed; return whether a newer picture is queued."""
-        request = _request_for(cameras, player)
-        if self._request is None or not _same(request, self._request):
-            self._request = request
+        request, state = _request_for(cameras, player)
+        if state != self._requested:
+            self._requested = state
             self._feed.request(request)
         return self._feed.ready
 
@@ -150,39 +149,22 @@ class StreamedPictures:
         self._target.texture.write(images)
 
 
-def _request_for(cameras: Sequence[Camera], player: Player | None) -> ViewRequest:
-    """Return the request of a view: tracking samples of a recording, else a pose."""
+def _request_for(cameras: Sequence[Camera], player: Player | None) -> tuple[ViewRequest, object]:
+    """Return the request of a view (tracking samples of a recording, else a pose), and a state that changes with it."""
+    views = tuple(map(view_state, cameras))
     if player is None:
-        return ViewRequest(cameras)
+        return ViewRequest(cameras), views
     if isinstance(player.motion, Tracked):
-        return ViewRequest(cameras, tracking=player.motion.samples[player.frame])
+        sample = player.motion.samples[player.frame]
+        return ViewRequest(cameras, tracking=sample), (views, id(sample))
     pose, names = player.pose(), player.skeleton.names
+    arrays = (pose.rotations, pose.trans, pose.translations)
+    state = (views, *(array is not None and array.tobytes() for array in arrays), dict(pose.expression))
     if names == JOINT_NAMES:
-        return ViewRequest(cameras, pose)
+        return ViewRequest(cameras, pose), state
     joints: dict[str, Any] = {"joints": dict(zip(names, pose.rotations, strict=True)), "trans": pose.trans}
     if pose.translations is not None:
         joints["translations"] = dict(zip(names, pose.translations, strict=True))
     if pose.expression:
         joints[EXPRESSION] = dict(pose.expression)
-    return ViewRequest(cameras, joints)
-
-
-def _same(a: ViewRequest, b: ViewRequest) -> bool:
-    return a.tracking is b.tracking and np.array_equal(_numbers(a), _numbers(b))
-
-
-def _numbers(request: ViewRequest) -> np.ndarray[Any, np.dtype[np.float64]]:
-    parts = [np.append(np.append(c.viewmat, c.K), (c.width, c.height)) for c in request.cameras]
-    if isinstance(request.pose, Pose):
-        parts += [request.pose.rotations.ravel(), request.pose.trans, _weights(request.pose.expression)]
-    elif request.pose is not None:
-        parts += [request.pose["trans"]]
-        parts += [value for key in ("joints", "translations") for value in request.pose.get(key, {}).values()]
-        parts += [_weights(request.pose.get(EXPRESSION, {}))]
-    return np.concatenate(parts)
-
-
-def _weights(expression: Mapping[str, float]) -> NDArray[np.float64]:
-    """Return comparable numbers of an expression: a checksum of each name, and its weight."""
-    numbers = [(float(crc32(name.encode())), weight) for name, weight in sorted(expression.items())]
-    return np.array(numbers, np.float64).ravel()
+    return ViewRequest(cameras, joints), state

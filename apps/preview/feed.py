@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -189,7 +189,10 @@ class Feed:
                 continue
             number, request = self._request
             sent = number, self._scale
-            cameras = [_scaled(camera, self._scale) for camera in request.cameras]
+            cameras = [
+                camera.resized(max(1, round(camera.width * self._scale)), max(1, round(camera.height * self._scale)))
+                for camera in request.cameras
+            ]
             options = dict(request.options, quality=self._quality, crop=True, subject=(number, request.about))
             await client.send(cameras, pose=request.pose, tracking=request.tracking, **options)
             await asyncio.sleep(MIN_PERIOD_S)
@@ -255,12 +258,3 @@ def feed_of(args: argparse.Namespace, url: str | None) -> Feed | None:
         return None
     token = None if args.token_file is None else read_token(args.token_file)
     return Feed(url, token, cafile=args.tls_ca, quality=args.quality)
-
-
-def _scaled(camera: Camera, factor: float) -> Camera:
-    """Return the same view with fewer pixels."""
-    if factor == 1:
-        return camera
-    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-    K = camera.K * np.array([[width / camera.width], [height / camera.height], [1.0]])
-    return replace(camera, K=K, width=width, height=height)

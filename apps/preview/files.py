@@ -16,8 +16,7 @@ from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import opened
 from glsplat.formats.gltf.container import read_container
 from glsplat.formats.gltf.nodes import only_moves
-from glsplat.formats.motion_files import embedded_motions
-from glsplat.formats.pose_files import are_poses
+from glsplat.formats.motion_files import are_poses, embedded_motions
 from glsplat.formats.registry import sniffed
 from glsplat.formats.scene_file import SceneFile, load_scene
 from glsplat.motion.motion import Motion

@@ -46,12 +46,17 @@ def run(
 ) -> int:
     """Show the scene until the runtime, the window or Ctrl-C ends the session."""
     samples: list[Sample] = []
-    wearer = Wearer(args.view or "mirror", room=_in_room(args.url), heard=_recorder(args.record, samples))
+    room = args.url is not None and bool(parse_qs(urlsplit(args.url).query).get("room"))  # the address has one
+    wearer = Wearer(args.view or "mirror", room=room, heard=_recorder(args.record, samples))
     known = offered() if connect is None else frozenset({EGL_ENABLE})  # raises if there is no runtime
     make = connect or OpenXrRuntime
     with ExitStack() as stack:
-        if args.record is not None:
-            stack.callback(_save, args.record, samples)  # last, however the session ends
+
+        def save_samples() -> None:
+            if samples:
+                print(f"{args.record}: {record(args.record, samples)} samples", file=sys.stderr)
+
+        stack.callback(save_samples)  # last, however the session ends; without --record there are none
         feed = feed_of(args, args.url)
         if feed is not None:
             feed.start()
@@ -111,31 +116,24 @@ def _show(
     how = {"scale": args.scale or 1.0, "floor": not args.no_floor, "transparent": args.passthrough}
     if feed is not None:
         return FeedShow(feed, context, wearer, say=_say, **how)
-    others = Others(scene, scene.avatar)
-    config = RenderConfig(**detail_of(args))
+    calibration = None if args.calibration is None else Calibration.load(args.calibration)
+    if args.height is not None:
+        calibration = Calibration.of_height(driven(scene, "--height").skeleton, args.height)
     show = LocalShow(
         scene,
         context,
         wearer,
-        config=config,
+        config=RenderConfig(**detail_of(args)),
         background=args.background or scene.background,
-        calibration=_calibration(args, scene),
+        calibration=calibration,
         solver=args.solver,
-        advance=others.advance,
+        advance=Others(scene, scene.avatar).advance,
         timed=args.json,
         **how,
     )
     if not show.solved:
         _say(f"{args.scene}: nothing in it that its wearer could move; it is looked at")
     return show
-
-
-def _calibration(args: argparse.Namespace, scene: SceneFile) -> Calibration | None:
-    if args.calibration is not None:
-        return Calibration.load(args.calibration)
-    if args.height is None:
-        return None
-    return Calibration.of_height(driven(scene, "--height").skeleton, args.height)
 
 
 def _choose_blend(args: argparse.Namespace, session: Session) -> None:
@@ -147,11 +145,6 @@ def _choose_blend(args: argparse.Namespace, session: Session) -> None:
     if found is None:
         raise ContextError(f"{runtime.name} shows no room around the wearer; leave --passthrough out")
     session.blend = "alpha" if found == "alpha" else "additive"
-
-
-def _in_room(url: str | None) -> bool:
-    """Return whether the address has a room of the server."""
-    return url is not None and bool(parse_qs(urlsplit(url).query).get("room"))
 
 
 def _recorder(name: str | None, samples: list[Sample]) -> Callable[[Sample], None]:
@@ -168,11 +161,6 @@ def _recorder(name: str | None, samples: list[Sample]) -> Callable[[Sample], Non
                 _say(f"{name} is full; the session goes on")
 
     return keep
-
-
-def _save(name: str, samples: list[Sample]) -> None:
-    if samples:
-        print(f"{name}: {record(name, samples)} samples", file=sys.stderr)
 
 
 def _report(session: Session, show: LocalShow | FeedShow) -> dict[str, Any]:

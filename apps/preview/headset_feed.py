@@ -53,7 +53,7 @@ class FeedShow:
         self._feed, self._context, self.wearer, self._say = feed, context, wearer, say
         self._scale, self._floor, self._transparent = scale, floor and not transparent, transparent
         self._size = (0, 0)  # of requested pictures
-        self._eyes: EyeSwapchains | None = None
+        self.eyes: EyeSwapchains | None = None  # the runtime's images; None before the first picture
         self._last: Projection | None = None
         self._said = ""
         self._target: Target | None = None
@@ -61,18 +61,13 @@ class FeedShow:
         self.pictures = 0
         self.age_ms = 0.0  # of the newest picture when it was submitted
 
-    @property
-    def eyes(self) -> EyeSwapchains | None:
-        """The runtime's images; None before the first picture."""
-        return self._eyes
-
     def attach(self, runtime: OpenXrRuntime) -> None:
         """Read the runtime's picture size. Images are made when the server's first picture arrives."""
         self._size = fitting(runtime, self._scale, self._context.max_size)
 
     def detach(self) -> None:
         """Release the images."""
-        eyes, self._eyes, self._last = self._eyes, None, None
+        eyes, self.eyes, self._last = self.eyes, None, None
         if eyes is not None:
             eyes.close()
         self.recentred()
@@ -101,9 +96,9 @@ class FeedShow:
 
     def look(self, framebuffer: moderngl.Framebuffer, size: tuple[int, int], eye: int = 0) -> bool:
         """Draw the last submitted picture into ``framebuffer``; return False if there is none."""
-        if self._eyes is None or self._target is None or self._last is None:
+        if self.eyes is None or self._target is None or self._last is None:
             return False
-        self._eyes.show(self._target, framebuffer, size, self._around, eye)
+        self.eyes.show(self._target, framebuffer, size, self._around, eye)
         return True
 
     def release(self) -> None:
@@ -129,11 +124,11 @@ class FeedShow:
     def _submit(self, runtime: OpenXrRuntime, picture: Picture, subject: _Subject) -> None:
         _, height, width, _ = picture.images.shape
         size = (width, height)
-        if self._eyes is None or self._eyes.size != size:
-            if self._eyes is not None:
+        if self.eyes is None or self.eyes.size != size:
+            if self.eyes is not None:
                 self._last = None
-                self._eyes.close()
-            self._eyes = EyeSwapchains(runtime, self._context, size, False)
+                self.eyes.close()
+            self.eyes = EyeSwapchains(runtime, self._context, size, False)
         with self._context.entered("FeedShow"):
             if self._target is None or self._target.shape != picture.images.shape:
                 if self._target is not None:
@@ -141,7 +136,7 @@ class FeedShow:
                 self._target = Target(self._context.ctx, *size, 2, "f1")
             self._target.texture.write(np.ascontiguousarray(picture.images))
         self._around = surroundings(subject.views, size, subject.place, self._floor)
-        self._eyes.fill(self._target, None, self._around)
-        self._last = self._eyes.projection(subject.views, None, self._transparent)
+        self.eyes.fill(self._target, None, self._around)
+        self._last = self.eyes.projection(subject.views, None, self._transparent)
         self.pictures += 1
         self.age_ms = (time.perf_counter() - picture.requested_at) * 1e3

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .keys import HELP_LINES
 from .player import Player
 
 Line = tuple[str, ...]
@@ -22,6 +21,26 @@ _INK = 235  # grey of the text
 _MAX_CELL_CHARS = 110
 _MESSAGE_S = 4.0
 _NUMBERS_PERIOD_S = 0.25  # numbers that change with every picture are unreadable
+
+_HELP_LINES: tuple[Line, ...] = (
+    ("1  2  3", "mono, side by side, anaglyph (red left, cyan right)"),
+    ("left drag, wheel", "orbit, nearer and farther"),
+    ("right drag", "look around"),
+    ("middle drag", "shift the picture (also shift + left drag)"),
+    ("W A S D  Q E", "fly; shift: faster"),
+    ("space", "play or pause"),
+    (",  .", "a frame back or on"),
+    ("M", "next motion"),
+    ("[  ]", "select a joint"),
+    ("arrows, page up/down", "turn it by 5 degrees; shift: by 1"),
+    ("backspace", "undo its turns"),
+    ("R", "reset the view"),
+    ("P", "screenshot (PNG)"),
+    ("O", "stage times and splat counts"),
+    ("H", "this help"),
+    ("Esc", "quit"),
+    ("drop a file", "scene, pose or motion"),
+)
 
 
 class Overlay:
@@ -63,17 +82,12 @@ class Overlay:
                 self._numbers, self._due = numbers(), now + _NUMBERS_PERIOD_S
             out += self._numbers
         if self.help:
-            out += [("",), *HELP_LINES] if out else HELP_LINES
+            out += [("",), *_HELP_LINES] if out else _HELP_LINES
         if live and self.left > 0:
             out.append((self._message,))
         if live and self.notice:
             out.append((self.notice,))
         return tuple(out)
-
-
-def title_line(label: str, layout: str, size: tuple[int, int]) -> Line:
-    """Return the label, the layout and the size of a view."""
-    return (f"{label}  {layout} {'' if layout == 'mono' else '2 x '}{size[0]}x{size[1]}",)
 
 
 def number_lines(
@@ -100,7 +114,7 @@ def text_image(lines: Sequence[Line], scale: float = 1.0) -> NDArray[np.uint8] |
     height, margin, gap = round(19 * scale), round(8 * scale), round(14 * scale)
     rows = [tuple(_plain(cell) for cell in line) for line in lines]
     # lines with equally many cells form a block with common columns and box
-    blocks = [(block, _columns(block, size, gap)) for block in _runs(rows)]
+    blocks = [(block, _columns(block, size, gap)) for block in (list(run) for _, run in groupby(rows, len))]
     ink = np.zeros((height * len(rows) + 2 * margin, max(edges[-1] for _, edges in blocks) + 2 * margin), np.uint8)
     shade = np.zeros(ink.shape, np.float32)
     top = margin
@@ -120,16 +134,11 @@ def text_image(lines: Sequence[Line], scale: float = 1.0) -> NDArray[np.uint8] |
     return out
 
 
-def _runs(rows: Sequence[Line]) -> Iterator[list[Line]]:
-    """Yield runs of consecutive lines with equally many cells."""
-    return (list(run) for _, run in groupby(rows, len))
-
-
 def _columns(block: Sequence[Line], size: float, gap: int) -> list[int]:
     """Return the left edge of each column, then the right end of the widest line."""
     edges = [0]
     for column in zip(*block, strict=True):
-        edges.append(edges[-1] + max(_width(cell, size) for cell in column) + gap)
+        edges.append(edges[-1] + max(cv2.getTextSize(cell, _FONT, size, 1)[0][0] for cell in column) + gap)
     return [*edges[:-1], edges[-1] - gap]
 
 
@@ -137,7 +146,3 @@ def _plain(text: str) -> str:
     # OpenCV's stroke fonts have only ASCII
     text = text.encode("ascii", "replace").decode()
     return text if len(text) <= _MAX_CELL_CHARS else text[: _MAX_CELL_CHARS - 3] + "..."
-
-
-def _width(text: str, size: float) -> int:
-    return int(cv2.getTextSize(text, _FONT, size, 1)[0][0])

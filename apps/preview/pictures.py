@@ -1,10 +1,10 @@
-"""Sources of the preview's pictures: their interface, and the source that draws them locally."""
+"""Pictures of the preview that are drawn here; those of a server (connect.py) have the same methods."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import moderngl
 
@@ -22,50 +22,12 @@ from .overlay import Line
 from .player import Player
 
 
-class PictureSource(Protocol):
-    """A source of pictures. Calls come from the window's thread; all but ``wait_ready`` return at once."""
-
-    period_s: float  # least time between requests while the picture moves; 0: none
-
-    @property
-    def notice(self) -> str:
-        """Current problem to show; "" without one."""
-
-    @property
-    def fresh(self) -> bool:
-        """Whether a new picture is queued."""
-
-    def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
-        """Request a picture; return whether a newer one than before can be drawn."""
-
-    def wait_ready(self) -> None:
-        """Wait for the last requested picture. Raises GlsplatError if it fails."""
-
-    def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
-        """Return the layers to show, one per view; ``exact`` waits for the GPU after each stage."""
-
-    def load(self, scene: SceneLike) -> None:
-        """Replace the scene. A GlsplatError leaves it unchanged."""
-
-    def facts(self) -> list[Line]:
-        """Return the driver and the counts of the picture, as lines."""
-
-    def stages(self) -> dict[str, float]:
-        """Return the stage times of the newest picture in milliseconds."""
-
-    def report(self) -> dict[str, Any]:
-        """Return driver, counts and stage times, for --json."""
-
-    def release(self) -> None:
-        """Delete all GL objects."""
-
-
 class LocalPictures:
-    """Pictures drawn in the window's own context."""
+    """Pictures drawn in the window's own context. Calls come from its thread; all but ``wait_ready`` return at once."""
 
-    period_s = 0.0
-    notice = ""
-    fresh = False
+    period_s = 0.0  # least time between requests while the picture moves; 0: none
+    notice = ""  # current problem to show
+    fresh = False  # a new picture is queued
 
     def __init__(
         self, scene: SceneLike, context: Context, size: tuple[int, int], config: RenderConfig | None = None
@@ -75,21 +37,21 @@ class LocalPictures:
         self._renderer = Renderer(scene, size=size, config=config, context=context)
 
     def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
-        """Return True: any picture can be drawn."""
+        """Request a picture. Return whether a newer one than before can be drawn: here always."""
         return True
 
     def wait_ready(self) -> None:
-        """Return at once: pictures are drawn on demand."""
+        """Wait for the last requested picture: here nothing, as pictures are drawn on demand."""
 
     def draw(self, cameras: Sequence[Camera], player: Player | None, exact: bool) -> Target:
-        """Return the rendered view or pair."""
+        """Return the layers to show, one a view; ``exact`` waits for the GPU after each stage."""
         renderer = self._renderer
         renderer.timer = StageTimer(self._context.ctx.finish if exact else None)
         renderer.resize(cameras[0].width, cameras[0].height)
         return renderer.draw(cameras, None if player is None else player.pose())
 
     def load(self, scene: SceneLike) -> None:
-        """Replace the scene."""
+        """Replace the scene. A GlsplatError leaves it unchanged."""
         try:
             self._renderer.load(scene)
         except (GlsplatError, moderngl.Error):
@@ -98,7 +60,7 @@ class LocalPictures:
         self._scene = scene
 
     def facts(self) -> list[Line]:
-        """Return driver and counts."""
+        """Return driver and counts, as lines."""
         stats = self._renderer.stats
         reasons = [f"{count} {reason}" for reason, count in stats.culled.items() if count]
         if stats.skipped:

@@ -31,16 +31,11 @@ class Others:
         motions = () if file is None else file.motions.values()
         self._motions = [(item, motion) for item, motion in motions if item is not own]
         self._time = 0.0
-        self.playing = bool(self._motions)
-
-    @property
-    def moving(self) -> bool:
-        """Whether the scene changes over time."""
-        return self.playing
+        self.moving = bool(self._motions)  # the clock runs
 
     def toggle(self) -> None:
         """Start or stop the clock."""
-        self.playing = bool(self._motions) and not self.playing
+        self.moving = bool(self._motions) and not self.moving
 
     def advance(self, seconds: float) -> None:
         """Advance the clock, and pose the items."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
@@ -26,15 +25,56 @@ from glsplat.views import viewing_point
 from ..output import save_png
 from .cameras import Options, View, cameras_of
 from .files import Dropped, motion_names, read_dropped, read_motion, shown
-from .keys import ACTIONS, FLIGHT, TURNS
-from .overlay import Line, Overlay, number_lines, text_image, title_line
-from .pictures import LocalPictures, PictureSource
+from .overlay import Line, Overlay, number_lines, text_image
+from .pictures import LocalPictures
 from .player import Others, Player, Tracked, players_of
+
+if TYPE_CHECKING:
+    from .connect import StreamedPictures
 
 _TURN_DEG = 5.0  # per key press
 _ORBIT_RAD = 3.5  # per height of the window
 _ZOOM = 0.9  # factor of the distance per notch of the wheel
 _MAX_FLIGHT_S = 0.1  # per frame, so that the eye does not jump after a pause
+
+_ACTIONS: dict[str, tuple[Any, ...]] = {
+    "1": ("lay_out", "mono"),
+    "2": ("lay_out", "side-by-side"),  # left eye on the left
+    "3": ("lay_out", "anaglyph"),  # both eyes in one picture for red-cyan glasses
+    "space": ("play",),
+    ".": ("step", 1),
+    ",": ("step", -1),
+    "M": ("next_motion",),
+    "[": ("select", -1),
+    "]": ("select", 1),
+    "backspace": ("straighten",),
+    "R": ("reset_view",),
+    "P": ("screenshot",),
+    "O": ("toggle", "numbers"),
+    "H": ("toggle", "help"),
+    "escape": ("quit",),
+}
+"""Key -> method of Viewer and its arguments. Keys have the names of window.py."""
+
+_FLIGHT: dict[str, tuple[float, float, float]] = {
+    "W": (0, 0, 1),
+    "S": (0, 0, -1),
+    "A": (-1, 0, 0),
+    "D": (1, 0, 0),
+    "E": (0, 1, 0),
+    "Q": (0, -1, 0),
+}
+"""Key -> direction (right, up, forward) of flight while it is held."""
+
+_TURNS: dict[str, tuple[float, float, float]] = {
+    "up": (-1, 0, 0),
+    "down": (1, 0, 0),
+    "left": (0, -1, 0),
+    "right": (0, 1, 0),
+    "page up": (0, 0, 1),
+    "page down": (0, 0, -1),
+}
+"""Key -> axis about which the selected joint turns, in the joint's frame."""
 
 
 class Viewer:
@@ -47,7 +87,7 @@ class Viewer:
         size: tuple[int, int],
         options: Options,
         label: str = "",
-        pictures: PictureSource | None = None,  # released with the viewer
+        pictures: LocalPictures | StreamedPictures | None = None,  # released with the viewer
     ) -> None:
         self.options = options
         self.layout: Layout = options.layout
@@ -60,7 +100,7 @@ class Viewer:
         self._context = context
         self.overlay = Overlay(options.numbers)
         self._held: set[str] = set()
-        self._shift = False
+        self.shift = False  # is held, for flight
         self._drag = ""
         self._cursor = (0.0, 0.0)
         self._text: tuple[Line, ...] = ()
@@ -112,34 +152,30 @@ class Viewer:
                 clock.advance(seconds)
                 self.dirty = True
         if self._held:
-            direction = np.sum([FLIGHT[key] for key in self._held], axis=0)
+            direction = np.sum([_FLIGHT[key] for key in self._held], axis=0)
             # proportional to the size of the scene, slower near the target
             speed = max(0.05 * self._home.distance, 0.6 * min(self.view.distance, self._home.distance))
-            step = direction * speed * (3 if self._shift else 1) * min(seconds, _MAX_FLIGHT_S)
+            step = direction * speed * (3 if self.shift else 1) * min(seconds, _MAX_FLIGHT_S)
             self.view = self.view.moved(*map(float, step))
             self.dirty = True
 
     # --------------------------------------------------------------------------------------------------- events
 
     def press(self, key: str, shift: bool = False, repeated: bool = False) -> None:
-        """Handle a pressed (or repeated) key; names as in keys.py."""
-        self._shift = shift
-        if key in FLIGHT:
+        """Handle a pressed (or repeated) key; names as in window.py."""
+        self.shift = shift
+        if key in _FLIGHT:
             self._held.add(key)
-        elif key in TURNS and self.player is not None:
-            self._turn(TURNS[key], 1.0 if shift else _TURN_DEG)
-        elif key in ACTIONS and (not repeated or key in ".,[]"):
-            action: Callable[[], None] = getattr(self, ACTIONS[key])
-            action()
+        elif key in _TURNS and self.player is not None:
+            self._turn(_TURNS[key], 1.0 if shift else _TURN_DEG)
+        elif key in _ACTIONS and (not repeated or key in ".,[]"):
+            action, *arguments = _ACTIONS[key]
+            getattr(self, action)(*arguments)
         self._changed()
 
     def release_key(self, key: str) -> None:
         """Handle a released key."""
         self._held.discard(key)
-
-    def hold_shift(self, down: bool) -> None:
-        """Handle shift while other keys are held."""
-        self._shift = down
 
     def drag(self, button: str, shift: bool = False) -> None:
         """Handle a pressed mouse button: left, middle, right, or \"\" if all are released."""
@@ -205,17 +241,9 @@ class Viewer:
 
     # -------------------------------------------------------------------------------------------------- actions
 
-    def mono(self) -> None:
-        """Show one view."""
-        self.layout = "mono"
-
-    def side_by_side(self) -> None:
-        """Show both eyes, left on the left."""
-        self.layout = "side-by-side"
-
-    def anaglyph(self) -> None:
-        """Show both eyes in one picture for red-cyan glasses."""
-        self.layout = "anaglyph"
+    def lay_out(self, layout: Layout) -> None:
+        """Show one view, or both eyes."""
+        self.layout = layout
 
     def play(self) -> None:
         """Start or stop the clocks."""
@@ -223,13 +251,10 @@ class Viewer:
         if self.player is not None:
             self.player.playing = not self.player.playing
 
-    def next_frame(self) -> None:
-        """Pause at the next frame."""
-        self._step(1)
-
-    def previous_frame(self) -> None:
-        """Pause at the previous frame."""
-        self._step(-1)
+    def step(self, frames: int) -> None:
+        """Pause, and step by frames."""
+        if self.player is not None:
+            self.player.step(frames)
 
     def next_motion(self) -> None:
         """Play the next embedded motion; after the last show the zero pose."""
@@ -243,13 +268,12 @@ class Viewer:
         self.player.play(read_motion(names[self._motion_index], self.player.skeleton))
         self.overlay.say(names[self._motion_index])
 
-    def next_joint(self) -> None:
-        """Select the next joint."""
-        self._select(1)
-
-    def previous_joint(self) -> None:
-        """Select the previous joint."""
-        self._select(-1)
+    def select(self, step: int) -> None:
+        """Select the next (1) or previous (-1) joint."""
+        if self.player is None:
+            return self.overlay.say("this scene has no joints")
+        self.player.select(step)
+        self.overlay.say(f"{self.player.joint_name}: turn it with the arrow keys")
 
     def straighten(self) -> None:
         """Undo the rotation of the selected joint by arrow keys."""
@@ -270,13 +294,9 @@ class Viewer:
             return self.overlay.say(str(error))
         self.overlay.say(f"saved {path}")
 
-    def toggle_numbers(self) -> None:
-        """Show or hide stage times and splat counts; shown, every stage waits for the GPU."""
-        self.overlay.numbers = not self.overlay.numbers
-
-    def toggle_help(self) -> None:
-        """Show or hide the keys."""
-        self.overlay.help = not self.overlay.help
+    def toggle(self, what: str) -> None:
+        """Show or hide "numbers" (stage times and splat counts; every stage then waits for the GPU) or "help"."""
+        setattr(self.overlay, what, not getattr(self.overlay, what))
 
     def quit(self) -> None:
         """Close the window."""
@@ -362,16 +382,6 @@ class Viewer:
             target = target if self.options.target is None else np.array(self.options.target)
         self.view = self._home = View.between(eye, target)
 
-    def _step(self, frames: int) -> None:
-        if self.player is not None:
-            self.player.step(frames)
-
-    def _select(self, step: int) -> None:
-        if self.player is None:
-            return self.overlay.say("this scene has no joints")
-        self.player.select(step)
-        self.overlay.say(f"{self.player.joint_name}: turn it with the arrow keys")
-
     def _turn(self, axis: tuple[float, float, float], degrees: float) -> None:
         assert self.player is not None
         if isinstance(self.player.motion, Tracked):
@@ -396,5 +406,6 @@ class Viewer:
         if self.animating and len(self._frames) > 1:
             rate = (len(self._frames) - 1) / (self._frames[-1] - self._frames[0])
         stages = self.pictures.stages() | {"present": self._present_ms}
-        title = title_line(self._label, self.layout, view_size(self.size, self.layout))
-        return number_lines([title, *self.pictures.facts()], self.player, stages, rate)
+        width, height = view_size(self.size, self.layout)
+        title = f"{self._label}  {self.layout} {'' if self.layout == 'mono' else '2 x '}{width}x{height}"
+        return number_lines([(title,), *self.pictures.facts()], self.player, stages, rate)

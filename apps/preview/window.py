@@ -122,7 +122,7 @@ class Window:
 
         def on_key(_: Any, code: int, scancode: int, action: int, mods: int) -> None:
             if code in (glfw.KEY_LEFT_SHIFT, glfw.KEY_RIGHT_SHIFT):
-                viewer.hold_shift(action != glfw.RELEASE)
+                viewer.shift = action != glfw.RELEASE
             elif code in keys and action == glfw.RELEASE:
                 viewer.release_key(keys[code])
             elif code in keys:
@@ -191,7 +191,7 @@ class Window:
 
 
 def _key_names(glfw: Any) -> dict[int, str]:
-    """Return a map of GLFW's key code to the name in keys.py. Keys are positions on a US keyboard."""
+    """Return a map of GLFW's key code to the viewer's name of it. Keys are positions on a US keyboard."""
     named = {
         "SPACE": "space",
         "ESCAPE": "escape",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from glsplat.arrays import count, number
 from glsplat.camera import Camera
 from glsplat.errors import FormatError
 
@@ -46,18 +47,18 @@ def camera_from_json(view: Any, where: str) -> Camera:
         raise FormatError(f"{where}: missing {', '.join(missing)} (needed: width, height, fx, fy, w2c)")
     try:
         width, height = _whole(view["width"], "width"), _whole(view["height"], "height")
-        fx, fy = _number(view["fx"], "fx"), _number(view["fy"], "fy")
-        cx, cy = _number(view.get("cx", width / 2), "cx"), _number(view.get("cy", height / 2), "cy")
-        background = [_number(v, "bg") for v in _list(view.get("bg", [0, 0, 0]), "bg", 3)]
-        rows = [[_number(v, "w2c") for v in _list(row, "w2c", 4)] for row in _list(view["w2c"], "w2c", 4)]
+        fx, fy = number(view["fx"], "fx"), number(view["fy"], "fy")
+        cx, cy = number(view.get("cx", width / 2), "cx"), number(view.get("cy", height / 2), "cy")
+        background = [number(v, "bg") for v in _list(view.get("bg", [0, 0, 0]), "bg", 3)]
+        rows = [[number(v, "w2c") for v in _list(row, "w2c", 4)] for row in _list(view["w2c"], "w2c", 4)]
         return Camera(
             np.array(rows, np.float64),
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             width,
             height,
             background=background,
-            near=_number(view.get("near", 0.01), "near"),
-            far=_number(view.get("far", 1e10), "far"),
+            near=view.get("near", 0.01),
+            far=view.get("far", 1e10),
             sh_degree=_whole(view.get("sh_degree", 3), "sh_degree"),
             name=view.get("name", ""),
         )
@@ -65,16 +66,8 @@ def camera_from_json(view: Any, where: str) -> Camera:
         raise FormatError(f"{where}: {error}") from None
 
 
-def _number(value: Any, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300 or value != value:
-        raise FormatError(f"{key} needs a finite number, not {value!r:.40}")
-    return float(value)
-
-
 def _whole(value: Any, key: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(_number(value, key)):
-        raise FormatError(f"{key} needs a whole number, not {value!r:.40}")
-    return int(value)
+    return count(int(value) if isinstance(value, float) and value.is_integer() else value, key)
 
 
 def _list(value: Any, key: str, length: int) -> list[Any]:

@@ -75,10 +75,6 @@ def opened(source: Source, strict: bool = False) -> Iterator[Opened]:
         yield Opened(file, size, name_of(source), folder_of(source), tuple(suffixes_of(source)), strict)
 
 
-def _nothing(_: Splats | Avatar) -> Iterator[str]:
-    return iter(())
-
-
 @dataclass(frozen=True, eq=False)
 class Format:
     """One file format.
@@ -96,7 +92,7 @@ class Format:
     sniff: Callable[[Opened], bool]
     load: Callable[[Opened], Content | Scene] | None = None  # None: a motion, which shows nothing
     save: Callable[[Splats | Avatar, Source], None] | None = None
-    loses: Callable[[Splats | Avatar], Iterator[str]] = _nothing
+    loses: Callable[[Splats | Avatar], Iterator[str]] = lambda _: iter(())
     rigs: bool = False  # holds avatars
     cones: bool = False  # holds visibility cones
     levels: bool = False  # holds levels of detail
@@ -123,9 +119,9 @@ class Format:
     def losses(self, scene: Splats | Avatar) -> Iterator[str]:
         """Yield a sentence for each thing that a file of this format does not keep of ``scene``, rounding apart."""
         if isinstance(scene, Avatar) and not self.rigs:
-            pose = (
-                "zero pose" if _bound_at_rest(scene) else "pose it was bound in (glsplat avatar export writes others)"
-            )
+            zero = scene.skeleton.rest @ scene.skeleton.inverse_bind
+            at_rest = np.abs(zero - np.eye(4)).max() < _REST_TOLERANCE
+            pose = "zero pose" if at_rest else "pose it was bound in (glsplat avatar export writes others)"
             yield f"the rig of {len(scene.skeleton)} joints is dropped, the file holds the {pose}"
             if scene.shapes is not None:
                 yield f"the {len(scene.shapes)} shapes of the face are dropped"
@@ -139,12 +135,6 @@ class Format:
             count = len(scene.levels)
             yield f"{count} coarser level{'s' if count > 1 else ''} of detail dropped, the file holds the finest"
         yield from self.loses(scene)
-
-
-def _bound_at_rest(avatar: Avatar) -> bool:
-    """Return whether the stored splats are those of the zero pose."""
-    zero = avatar.skeleton.rest @ avatar.skeleton.inverse_bind
-    return bool(np.abs(zero - np.eye(4)).max() < _REST_TOLERANCE)
 
 
 def clamped_opacities(scene: Splats | Avatar) -> Iterator[str]:

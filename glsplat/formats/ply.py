@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import frozen
-from glsplat.avatar import Avatar, splats_of
+from glsplat.avatar import splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened, clamped_opacities, positive_scales
 from glsplat.io.files import Source, replace_file
@@ -256,11 +256,6 @@ def _gather(
         out[:, i] = columns[name]
 
 
-def _loses(scene: Splats | Avatar) -> Iterator[str]:
-    yield from clamped_opacities(scene)
-    yield from positive_scales(scene)
-
-
 def read_header(file: BinaryIO) -> PlyHeader:
     """Read the header at the start of an open file. Raises FormatError for what is no PLY."""
     file.seek(0)
@@ -328,7 +323,7 @@ PLY = Format(
     sniff=is_ply,
     load=lambda start: read_ply(start.file, start.size),
     save=lambda scene, target: save_ply(splats_of(scene), target),
-    loses=_loses,
+    loses=lambda scene: chain(clamped_opacities(scene), positive_scales(scene)),
 )
 
 

@@ -26,7 +26,7 @@ log: logging.Logger = logging.getLogger("glsplat.formats")
 _CORE = (
     "glsplat.formats.ply",
     "glsplat.formats.gltf.splats",
-    "glsplat.formats.pose_files",
+    "glsplat.formats.motion_files",
     "glsplat.formats.scene_file",
 )
 _EXTRAS = ("formats", "rigs", "motions")

@@ -187,25 +187,21 @@ class _Reading:
 
     def _item(self, file: Path, entry: _Item, transform: NDArray[np.float64], folder: Path, key: str) -> None:
         item = Item(self._contents[file], transform=transform, visible=entry.visible, name=entry.name or file.stem)
-        if entry.pose is not None or entry.motion is not None:
-            self._move(item, entry, folder, key)
-        self.out.scene.add(item)
-        self.out.sources.append((item, file))
-
-    def _move(self, item: Item, entry: _Item, folder: Path, key: str) -> None:
         if entry.pose is not None and entry.motion is not None:
             raise FormatError("an item has a pose or a motion, not both")
         if isinstance(item.content, Splats):
-            raise FormatError("splats without a skeleton have no pose and no motion")
-        skeleton: Skeleton = item.content.skeleton
-        if entry.motion is not None:
-            motion = self._motion(entry.motion, folder, skeleton)
+            if entry.pose is not None or entry.motion is not None:
+                raise FormatError("splats without a skeleton have no pose and no motion")
+        elif entry.motion is not None:
+            motion = self._motion(entry.motion, folder, item.content.skeleton)
             self.out.motions[key] = item, motion
             item.pose = motion.at(0.0)
         elif isinstance(entry.pose, str):
-            item.pose = load_pose(_inside(entry.pose, folder), skeleton)
-        else:
-            item.pose = Pose.from_json(entry.pose, skeleton)
+            item.pose = load_pose(_inside(entry.pose, folder), item.content.skeleton)
+        elif entry.pose is not None:
+            item.pose = Pose.from_json(entry.pose, item.content.skeleton)
+        self.out.scene.add(item)
+        self.out.sources.append((item, file))
 
     def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
         """Load a file in the folder, or an embedded motion where there is none of that name."""

@@ -294,7 +294,8 @@ def _own(ctx: moderngl.Context, backend: str) -> Context:
 
 
 def _given(given: moderngl.Context) -> Context:
-    _check_version(given)
+    if given.version_code < REQUIRED:
+        raise ContextError(f"OpenGL 3.3 is needed, this context has {given.version_code / 100:.1f}; {INSTALL}")
     with _kept_current(always=True):
         try:
             given.mglo.__enter__()  # makes a context of moderngl current
@@ -319,13 +320,7 @@ def _kept_current(always: bool = False) -> Iterator[None]:
             current.give_back(former)
 
 
-def _check_version(ctx: moderngl.Context) -> None:
-    if ctx.version_code < REQUIRED:
-        raise ContextError(f"OpenGL 3.3 is needed, this context has {ctx.version_code / 100:.1f}; {INSTALL}")
-
-
 def _probed(ctx: moderngl.Context, backend: str, owner: Owner, state: GLState | None = None) -> Context:
-    _check_version(ctx)
     software = is_software(ctx.info["GL_RENDERER"])
     scratch = ctx.framebuffer([ctx.texture((1, 1), 4)])
     layers = _vertex_layers(ctx, scratch)

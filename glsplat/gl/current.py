@@ -31,6 +31,10 @@ class _Api:
 
     def __init__(self) -> None:
         self._lib: Any = None
+        self.context: Any = None
+        self._display: Any = None
+        self._surfaces: Callable[[], tuple[Any, Any]] = lambda: (None, None)  # draw, read
+        self._make: Any = None
 
     def find(self) -> None:
         for name in () if self._lib else self.libraries:
@@ -44,13 +48,15 @@ class _Api:
     def _declare(self) -> None: ...
 
     def current(self) -> Binding | None:
-        raise NotImplementedError
+        context = self.context() if self._lib else None
+        return Binding(self, context, (self._display(), *self._surfaces())) if context else None
 
     def bind(self, binding: Binding) -> bool:
-        raise NotImplementedError
+        return bool(self._make(*binding.rest, binding.context))
 
     def unbind(self) -> None:
-        raise NotImplementedError
+        if self._lib and self.context():
+            self._make(self._display(), None, None, None)
 
     def _function(self, name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
         function = getattr(self._lib, name)
@@ -67,21 +73,9 @@ class _Egl(_Api):
     def _declare(self) -> None:
         self.context = self._function("eglGetCurrentContext", _P)
         self._display = self._function("eglGetCurrentDisplay", _P)
-        self._surface = self._function("eglGetCurrentSurface", _P, ctypes.c_int)
+        surface = self._function("eglGetCurrentSurface", _P, ctypes.c_int)
+        self._surfaces = lambda: (surface(0x3059), surface(0x305A))
         self._make = self._function("eglMakeCurrent", ctypes.c_uint, _P, _P, _P, _P)
-
-    def current(self) -> Binding | None:
-        context = self.context() if self._lib else None
-        if not context:
-            return None
-        return Binding(self, context, (self._display(), self._surface(0x3059), self._surface(0x305A)))  # draw, read
-
-    def bind(self, binding: Binding) -> bool:
-        return bool(self._make(*binding.rest, binding.context))
-
-    def unbind(self) -> None:
-        if self._lib and self.context():
-            self._make(self._display(), None, None, None)
 
 
 class _Glx(_Api):
@@ -90,20 +84,11 @@ class _Glx(_Api):
     def _declare(self) -> None:
         self.context = self._function("glXGetCurrentContext", _P)
         self._display = self._function("glXGetCurrentDisplay", _P)
-        self._draw = self._function("glXGetCurrentDrawable", ctypes.c_ulong)
-        self._read = self._function("glXGetCurrentReadDrawable", ctypes.c_ulong)
-        self._make = self._function("glXMakeContextCurrent", ctypes.c_int, _P, ctypes.c_ulong, ctypes.c_ulong, _P)
-
-    def current(self) -> Binding | None:
-        context = self.context() if self._lib else None
-        return Binding(self, context, (self._display(), self._draw(), self._read())) if context else None
-
-    def bind(self, binding: Binding) -> bool:
-        return bool(self._make(*binding.rest, binding.context))
-
-    def unbind(self) -> None:
-        if self._lib and self.context():
-            self._make(self._display(), 0, 0, None)
+        draw = self._function("glXGetCurrentDrawable", ctypes.c_ulong)
+        read = self._function("glXGetCurrentReadDrawable", ctypes.c_ulong)
+        self._surfaces = lambda: (draw(), read())
+        make = self._function("glXMakeContextCurrent", ctypes.c_int, _P, ctypes.c_ulong, ctypes.c_ulong, _P)
+        self._make = lambda display, drawn, shown, context: make(display, drawn or 0, shown or 0, context)
 
 
 class _OSMesa(_Api):
@@ -184,7 +169,7 @@ def is_current(mine: Binding) -> bool:
     _look_for_osmesa()
     if mine.api is _OSMESA:
         return bool(_OSMESA.context() == mine.context)
-    return bool(mine.api.context() == mine.context) and _OSMESA.holds(mine.context)  # type: ignore[attr-defined]
+    return bool(mine.api.context() == mine.context) and _OSMESA.holds(mine.context)
 
 
 def bind(mine: Binding) -> None:

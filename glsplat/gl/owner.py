@@ -13,12 +13,12 @@ import warnings
 import weakref
 from collections.abc import Callable
 from types import FrameType
-from typing import Any, Protocol
 
 import moderngl
 
 from glsplat.errors import ContextError
 from glsplat.gl import current
+from glsplat.gl.state import GLState, Snapshot
 
 _forks = 0  # between the first process and this one
 _made_after: int | None = None  # forks when the newest context was made
@@ -36,16 +36,6 @@ _FORKED = (
     "was made before this process was forked, and the driver's threads are not in the child; "
     "start the child with multiprocessing.get_context('spawn') and make the renderer there"
 )
-
-
-class State(Protocol):
-    """Saves and restores GL state that the user set."""
-
-    def save(self) -> Any:
-        """Return the current state, and set the state that drawing needs."""
-
-    def restore(self, was: Any) -> None:
-        """Restore the saved state."""
 
 
 class Owner:
@@ -106,7 +96,7 @@ class Owner:
         """Clear the active draw."""
         self._busy = None
 
-    def entered(self, call: str, state: State | None = None) -> ContextGuard:
+    def entered(self, call: str, state: GLState | None = None) -> ContextGuard:
         """Return a context manager that makes the context current, then restores the former. Raises as check() does."""
         return ContextGuard(self, call, state)
 
@@ -121,10 +111,11 @@ class ContextGuard:
 
     __slots__ = ("_call", "_draws", "_former", "_owner", "_state", "_switched", "_was")
 
-    def __init__(self, owner: Owner, call: str, state: State | None, draws: bool = True) -> None:
+    def __init__(self, owner: Owner, call: str, state: GLState | None, draws: bool = True) -> None:
         self._owner, self._call, self._state = owner, call, state
         self._draws = draws  # False: calls within it may draw
-        self._switched, self._was = False, None
+        self._switched = False
+        self._was: Snapshot | None = None
         self._former: current.Binding | None = None
 
     def __enter__(self) -> None:

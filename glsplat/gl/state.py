@@ -302,7 +302,8 @@ class GLState:
             return name if name and gl[kind](name) else 0
 
         draw, read = value("draw_framebuffer"), value("read_framebuffer")
-        if draw == alive("IsFramebuffer", draw) and not _gone(was.framebuffer):
+        deleted = was.framebuffer is not None and isinstance(was.framebuffer.mglo, moderngl.InvalidObject)
+        if draw == alive("IsFramebuffer", draw) and not deleted:
             ctx.fbo = was.framebuffer
             ctx.mglo.fbo = was.native
         flags = 0
@@ -358,7 +359,3 @@ class GLState:
                 bind(target, alive("IsBuffer", value(name)))
         gl["BindVertexArray"](alive("IsVertexArray", value("vertex_array")))
         gl["UseProgram"](alive("IsProgram", value("program")))  # a deleted program lived only while it was in use
-
-
-def _gone(framebuffer: Any) -> bool:
-    return framebuffer is not None and isinstance(framebuffer.mglo, moderngl.InvalidObject)

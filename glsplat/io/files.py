@@ -185,7 +185,7 @@ def naming(source: Source, strict: bool = False) -> Iterator[None]:
     except FormatError as error:
         whole, known = str(error), (f"{name}: ", f"{name!r}: ")
         said = next((start for start in known if whole.startswith(start)), "")
-        text = said + _printable(whole.removeprefix(said))
+        text = said + printable(whole.removeprefix(said))
         raise FormatError(text if text.startswith((f"{name}: ", f"{name!r}: ")) else f"{name}: {text}") from None
     finally:
         _READ.reset(before)
@@ -196,10 +196,10 @@ def left_out(log: logging.Logger, reason: str) -> None:
     name, strict = _READ.get()
     if strict:
         raise FormatError(f"{reason}; repair the file or load it without strict")
-    log.warning("%s: %s", name, _printable(reason))
+    log.warning("%s: %s", name, printable(reason))
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """Replace line breaks and control characters, which names in a file may have."""
     return "".join(c if c.isprintable() else "?" for c in text)
 

@@ -19,8 +19,7 @@ from glsplat.config import RenderConfig
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.renderer.bounds import covered_pixels
-from glsplat.renderer.lru_cache import LruCache, Sized
-from glsplat.renderer.owned import data_texture, owned
+from glsplat.renderer.owned import LruCache, OwnsObjects, Sized, data_texture, owned
 from glsplat.renderer.skin import Placement, SkinPass, near_eye
 from glsplat.renderer.stage import NEAR_M, ROW, ItemBuffers, numbers_of, rows_of, upload_rows, write_rows
 from glsplat.renderer.stats import Box
@@ -38,7 +37,7 @@ PipelineKey = tuple[Variant, tuple[int, int], int]
 """Variant, size in pixels, and number of the pass in its call."""
 
 
-class Arena:
+class Arena(OwnsObjects):
     """The splats of some items, in their order, and the pipelines that draw them. The items are borrowed."""
 
     def __init__(
@@ -99,6 +98,7 @@ class Arena:
                 self.splats, self.origin = item.rest, item.centre
             self._surfaces: moderngl.Texture | None = None  # made with the first light
             self._ctx, self._height = ctx, height
+            stack.callback(self.pipelines.release)
             self._owned = stack.pop_all()
 
     @property
@@ -215,11 +215,6 @@ class Arena:
         rows = np.frombuffer(self.splats.read(), np.float32).reshape(-1, 16)[: self.items[0].count]
         shapes = np.stack([rows[:, 4 + 4 * i : 7 + 4 * i] for i in range(3)], axis=-1)
         return rows[:, :3] + self.origin, shapes
-
-    def release(self) -> None:
-        """Delete pipelines, textures and buffers, not the items. May be called twice."""
-        self.pipelines.release()
-        self._owned.close()
 
     def _write(self, index: int, placement: Placement) -> None:
         assert self._skin is not None

@@ -13,6 +13,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.config import RenderConfig
 from glsplat.renderer.stats import Box
@@ -20,8 +21,6 @@ from glsplat.rotations import is_rigid, quaternion_matrices
 from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin, strongest_joint
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # [27, 3]; the middle one is no direction
 _SLIVER = 1e-7  # of a weight; smaller shares move no splat by a pixel

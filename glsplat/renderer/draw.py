@@ -129,18 +129,16 @@ class DrawPass:
         if indirect is not None:
             self._array.render_indirect(indirect, self._mode, count=1)
         elif self._variant.pulled:
-            self._pull(begin, end)
+            vertices = self._corners * self._variant.views
+            part = max(MIN_PART_RECORDS, -((begin - end) // MAX_PARTS)) if self._flushed else end - begin
+            for first in range(begin, end, part):
+                if self._flushed and first > begin:
+                    self._flushed.clear()  # llvmpipe starts drawing when the target changes; moderngl has no glFlush
+                last = min(first + part, end)
+                self._array.render(self._mode, vertices=(last - first) * vertices, first=first * vertices)
         else:
             self._array.render(self._mode, vertices=self._corners, instances=(end - begin) * self._variant.views)
         self._ctx.disable(moderngl.BLEND)
-
-    def _pull(self, begin: int, end: int) -> None:
-        vertices = self._corners * self._variant.views
-        part = max(MIN_PART_RECORDS, -((begin - end) // MAX_PARTS)) if self._flushed else end - begin
-        for first in range(begin, end, part):
-            if self._flushed and first > begin:
-                self._flushed.clear()  # llvmpipe starts drawing when the target changes; moderngl has no glFlush
-            self._array.render(self._mode, vertices=(min(first + part, end) - first) * vertices, first=first * vertices)
 
     def _begin_at(self, record: int) -> None:
         """Make ``record`` instance 0; a base instance would need OpenGL 4.2."""

@@ -24,9 +24,8 @@ from glsplat.renderer.arena import Arena, Part
 from glsplat.renderer.checks import checked_pose
 from glsplat.renderer.draw import MAX_PULLED
 from glsplat.renderer.levels import ItemLevels, Selector
-from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.mesh_buffers import MeshBuffers
-from glsplat.renderer.mesh_pass import MeshPass, MeshPassKind
+from glsplat.renderer.mesh_pass import MeshBuffers, MeshPass, MeshPassKind
+from glsplat.renderer.owned import LruCache
 from glsplat.renderer.pipeline import Pipeline, view_state
 from glsplat.renderer.skin import Placement
 from glsplat.renderer.stage import ItemBuffers
@@ -163,11 +162,6 @@ class GpuScene:
         """Whether meshes are drawn at the pixel centres: splats are drawn as well, or there is one sample a pixel."""
         return bool(self._placed_meshes) and (self._samples == 1 or self.arena.shown_splats > 0)
 
-    @staticmethod
-    def shared(ordinal: int) -> bool:
-        """Return whether other passes of a call may use the same pipeline as pass number ``ordinal``."""
-        return ordinal >= PASSES - 1
-
     def pipeline(self, views: Sequence[Camera], ordinal: int, depth: bool = False) -> Pipeline:
         """Return the pipeline that draws these views as pass number ``ordinal`` of the call."""
         arena = self.arena
@@ -178,7 +172,7 @@ class GpuScene:
             sh_degree=views[0].sh_degree,
             posed=arena.posed,
             antialias=frozenset(item.splats.antialias for item in arena.items) or frozenset({False}),
-            geometry=self._geometry,
+            geometry=self._geometry,  # also for one view: it orders the vertices, and a pair has to equal its renders
             triangle=self._triangle,
             pulled=self._pulled and (self._config.debug.fetch == "storage" or arena.shown_splats <= MAX_PULLED),
             depth=depth,

@@ -12,7 +12,7 @@ import numpy as np
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.renderer.owned import owned
+from glsplat.renderer.owned import OwnsObjects, owned
 from glsplat.renderer.sort import CULL_REASONS, sorted_indices
 from glsplat.renderer.stage import ROW, rows_of
 from glsplat.shaders import Programs, set_uniforms
@@ -35,7 +35,7 @@ _BARRIERS = (
 )
 
 
-class GpuSorter:
+class GpuSorter(OwnsObjects):
     """Sorts keys and writes the order of the drawn splats; nothing is read back. Scratch space is borrowed."""
 
     def __init__(
@@ -97,10 +97,6 @@ class GpuSorter:
         data = np.frombuffer(self.indirect.read(), np.uint32)
         culled = {name: int(data[8 + code]) for code, name in CULL_REASONS.items()}
         return int(data[4]), culled, int(data[16]) + (int(data[17]) << 32)
-
-    def release(self) -> None:
-        """Delete the rows, the histogram and the counters."""
-        self._owned.close()
 
 
 def gpu_sorts_faster(context: Context, programs: Programs, count: int) -> bool:

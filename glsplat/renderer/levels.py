@@ -16,14 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.arrays import frozen, number
+from glsplat.arrays import F64, frozen, number
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera
 from glsplat.config import MAX_BIAS
 from glsplat.errors import GlsplatError
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 HYSTERESIS = 1.05
 """Factor by which the view's density has to pass the limit between two levels before the level changes."""

@@ -22,7 +22,7 @@ from glsplat.renderer.frame_block import FrameBlock
 from glsplat.renderer.gpu_sort import GpuSorter, gpu_sorts_faster
 from glsplat.renderer.key import BLOCK_PIXELS, KeyPass
 from glsplat.renderer.mesh_pass import MeshPass
-from glsplat.renderer.owned import owned
+from glsplat.renderer.owned import OwnsObjects, owned
 from glsplat.renderer.project import ProjectPass
 from glsplat.renderer.read_back import Transfer, read_bytes, read_floats
 from glsplat.renderer.resolve import ResolvePass, ResolveStep
@@ -33,7 +33,7 @@ from glsplat.shaders import Programs, Variant
 from glsplat.timing import StageTimer
 
 
-class Pipeline:
+class Pipeline(OwnsObjects):
     """Owns the work buffers and vertex arrays of a variant; arena and programs are borrowed."""
 
     variant: Variant
@@ -127,7 +127,13 @@ class Pipeline:
             self._sort_on_host(views[0], timer, resort, bool(costed))
         else:
             if resort:
-                self._sort_on_gpu(self._sorter, timer, itemised=costed == 2)
+                self._key.run(arena.ranges)
+                timer.mark("key")
+                if costed == 2:
+                    self.item_costs = self._itemised(self._key.read()[2])
+                self._sorter.run(arena.ranges)
+                self._project.count = arena.most  # as long as only the GPU knows the number
+                self._counted = False
             self._splat_box = None
         timer.mark("sort")
         self._project.run(light, self._sorter.indirect if self._sorter else None)
@@ -136,15 +142,6 @@ class Pipeline:
         if self._sorter and costed:
             self._count()
         return resort
-
-    def _sort_on_gpu(self, sorter: GpuSorter, timer: StageTimer, itemised: bool) -> None:
-        self._key.run(self._arena.ranges)
-        timer.mark("key")
-        if itemised:
-            self.item_costs = self._itemised(self._key.read()[2])
-        sorter.run(self._arena.ranges)
-        self._project.count = self._arena.most  # as long as only the GPU knows the number
-        self._counted = False
 
     def _sort_on_host(self, view: Camera, timer: StageTimer, resort: bool, costed: bool) -> None:
         ranges = self._arena.ranges
@@ -259,10 +256,6 @@ class Pipeline:
         sums = np.cumsum(self._costs[self._recorded], dtype=np.uint64)
         cuts = np.searchsorted(sums, int(sums[-1]) * np.arange(1, wanted) // wanted) + 1
         return sorted({*map(int, cuts), count})
-
-    def release(self) -> None:
-        """Delete the work buffers and vertex arrays."""
-        self._owned.close()
 
 
 def _in_arena(order: NDArray[np.uint32], ranges: Sequence[tuple[int, int]]) -> NDArray[np.uint32]:

@@ -34,8 +34,8 @@ class Present:
             self._text = self._ctx.texture((1, 1), 4)
         self._box = (0, 0, 0, 0)
 
-    def write_text(self, image: NDArray[np.uint8] | None, left: int = 0, top: int = 0) -> None:
-        """Set the text over the picture: premultiplied RGBA [h, w, 4] at a pixel of the window; None removes it."""
+    def write_text(self, image: NDArray[np.uint8] | None) -> None:
+        """Set the text over the picture: premultiplied RGBA [h, w, 4] in the upper left corner; None removes it."""
         if image is None:
             self._box = (0, 0, 0, 0)
             return
@@ -45,7 +45,7 @@ class Present:
                 old, self._text = self._text, self._ctx.texture((width, height), 4)
                 old.release()
             self._text.write(np.ascontiguousarray(image))
-        self._box = (left, top, width, height)
+        self._box = (0, 0, width, height)
 
     def run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
         """Fill ``size`` (width, height) pixels of ``framebuffer`` from ``target``; all layouts but mono need a pair.
@@ -53,24 +53,21 @@ class Present:
         Values are clamped and rounded by the fixed-point framebuffer, as in resolve.frag.glsl.
         """
         with self._entered("Present.run()"):
-            self._run(target, framebuffer, size, layout)
-
-    def _run(self, target: Target, framebuffer: moderngl.Framebuffer, size: tuple[int, int], layout: Layout) -> None:
-        views, _, width, _ = target.shape
-        framebuffer.viewport = (0, 0, *size)
-        framebuffer.use()
-        self._ctx.enable_only(moderngl.NOTHING)
-        values: dict[str, Any] = {"window": size, "view_width": width}
-        target.texture.use(UNITS["target"])
-        has_text = self._box[2] > 0
-        if has_text:
-            self._text.use(UNITS["text"])
-            values["text_box"] = self._box
-        if target.lift is not None:
-            values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
-        array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
-        set_uniforms(array.program, values)
-        array.render(moderngl.TRIANGLES, vertices=3)
+            views, _, width, _ = target.shape
+            framebuffer.viewport = (0, 0, *size)
+            framebuffer.use()
+            self._ctx.enable_only(moderngl.NOTHING)
+            values: dict[str, Any] = {"window": size, "view_width": width}
+            target.texture.use(UNITS["target"])
+            has_text = self._box[2] > 0
+            if has_text:
+                self._text.use(UNITS["text"])
+                values["text_box"] = self._box
+            if target.lift is not None:
+                values |= {"first_background": target.lift[0], "second_background": target.lift[-1]}
+            array = self._array(int(layout == "anaglyph" and views > 1), int(has_text), int(target.lift is not None))
+            set_uniforms(array.program, values)
+            array.render(moderngl.TRIANGLES, vertices=3)
 
     def _array(self, anaglyph: int, text: int, lifted: int) -> moderngl.VertexArray:
         """Return the vertex array of a program, compiled when it is first needed."""

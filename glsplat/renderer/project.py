@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from glsplat.gl.context import Context
 from glsplat.gl.functions import gl_functions
 from glsplat.light.light import Light
-from glsplat.renderer.owned import owned
+from glsplat.renderer.owned import OwnsObjects, owned
 from glsplat.shaders import Programs, Variant, record_layout
 
 _U = ctypes.c_uint
@@ -28,7 +28,7 @@ _CALLS: dict[str, tuple[Any, ...]] = {
 }
 
 
-class ProjectPass:
+class ProjectPass(OwnsObjects):
     """Gathers from the arena's textures in the order of ``order``, so the records come out sorted."""
 
     def __init__(self, context: Context, programs: Programs, variant: Variant, count: int) -> None:
@@ -82,7 +82,3 @@ class ProjectPass:
         gl["DrawArraysIndirect"](moderngl.POINTS, 16)
         gl["EndTransformFeedback"]()
         self._ctx.enable_only(moderngl.NOTHING)
-
-    def release(self) -> None:
-        """Delete the order, the records and the vertex array."""
-        self._owned.close()

@@ -21,11 +21,12 @@ from glsplat.gl.owner import ContextGuard, release_later
 from glsplat.renderer import checks
 from glsplat.renderer.checks import Depths, Images, Pixel, Views
 from glsplat.renderer.draw import Slices
-from glsplat.renderer.gpu_scene import GpuScene
+from glsplat.renderer.gpu_scene import PASSES, GpuScene
 from glsplat.renderer.levels import Selector
+from glsplat.renderer.owned import LruCache
 from glsplat.renderer.pipeline import Pipeline
 from glsplat.renderer.read_back import Transfer, read_depth
-from glsplat.renderer.resolve import ResolveStep, StepTextures, checked_step
+from glsplat.renderer.resolve import MAX_TEXTURES, ResolveStep, StepTexture, checked_step
 from glsplat.renderer.stats import FrameStats
 from glsplat.renderer.targets import FORMATS, Target, TargetPool
 from glsplat.scene import Item, Scene, SceneLike
@@ -76,7 +77,7 @@ class Renderer:
         self._programs = Programs(self.context.ctx)
         self.timer: StageTimer = StageTimer(self.context.ctx.finish if waits else None)
         self._targets = TargetPool(self.context, self.target_dtype)
-        self._textures = StepTextures(self.context)
+        self._textures: LruCache[ResolveStep, StepTexture] = LruCache(MAX_TEXTURES, 2**30)  # of recently used steps
         self._prepared: Prepared | None = None  # valid until the next call
         self._released = False
         if self.context.state is not None and (self.config.sorter != "cpu" or self.config.debug.fetch != "attributes"):
@@ -299,7 +300,7 @@ class Renderer:
         out = checks.checked_out(out, (len(cameras), size[1], size[0], 4), np.uint8 if boxed else np.float32)
         depths = np.empty(out.shape[:3] if depth else 0, np.float32)
         step = checked_step(self.step, boxed)
-        texture = None if step is None else self._textures.of(step)
+        texture = None if step is None else self._textures.get(step, lambda: StepTexture(self.context, step)).texture
         if transfer is not None:
             transfer.begin(out.nbytes)
         for layers, batch, pipeline, target in self._drawn(cameras, depth, boxed, slices):
@@ -334,7 +335,8 @@ class Renderer:
         self, cameras: Sequence[Camera], ordinal: int, depth: bool = False, costed: int = 0, done: bool = False
     ) -> Pipeline:
         """Do steps 1 to 3 (key, sort, project) of pass number ``ordinal``, and return its pipeline."""
-        pipeline, shared = self._scene.pipeline(cameras, ordinal, depth), self._scene.shared(ordinal)
+        pipeline = self._scene.pipeline(cameras, ordinal, depth)
+        shared = ordinal >= PASSES - 1  # with later passes of the call
         if shared or not done:
             light = self._scene.light
             resorted = pipeline.make_records(cameras, self._order(cameras), self.timer, costed, shared, light)

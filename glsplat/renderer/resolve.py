@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from glsplat.camera import Camera
 from glsplat.errors import GlsplatError
 from glsplat.gl.context import Context
-from glsplat.renderer.lru_cache import LruCache
 from glsplat.renderer.stats import Box
 from glsplat.renderer.targets import ByteTarget, Target
 from glsplat.shaders import Programs, ResolveVariant, Variant, set_uniforms
@@ -51,34 +50,17 @@ def checked_step(step: ResolveStep | None, boxed: bool) -> ResolveStep | None:
     return step
 
 
-class StepTextures:
-    """Owns the textures of recently used steps."""
+class StepTexture:
+    """The texture of a step."""
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._textures: LruCache[ResolveStep, _Texture] = LruCache(MAX_TEXTURES, 2**30)
-
-    @property
-    def nbytes(self) -> int:
-        """GPU bytes of the textures."""
-        return self._textures.nbytes
-
-    def of(self, step: ResolveStep) -> moderngl.Texture:
-        """Return the texture of a step."""
-        return self._textures.get(step, lambda: _Texture(self._context, step.tile())).texture
-
-    def release(self) -> None:
-        """Delete the textures; they are made again when needed."""
-        self._textures.release()
-
-
-class _Texture:
-    def __init__(self, context: Context, tile: NDArray[np.float32]) -> None:
+    def __init__(self, context: Context, step: ResolveStep) -> None:
+        tile = step.tile()
         self.texture: moderngl.Texture = context.ctx.texture(tile.shape[::-1], 1, tile, dtype="f4")
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self.nbytes = tile.nbytes
+        self.nbytes: int = tile.nbytes
 
     def release(self) -> None:
+        """Delete the texture."""
         self.texture.release()
 
 

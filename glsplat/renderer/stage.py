@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
 from glsplat.renderer.bounds import Bounds
-from glsplat.renderer.owned import data_texture, owned
+from glsplat.renderer.owned import OwnsObjects, data_texture, owned
 from glsplat.rotations import signed_axes
 from glsplat.shaders import Programs, SkinVariant, Variant
 from glsplat.shaders.slots import UNITS
@@ -37,7 +37,7 @@ _SMALLEST = 16  # bytes: OpenGL has no empty buffers
 _POSED = ("posed_mean", "posed_x", "posed_y", "posed_z")
 
 
-class ItemBuffers:
+class ItemBuffers(OwnsObjects):
     """Splats and skin of one item at one level of detail. Splats that no camera can draw are left out and counted."""
 
     def __init__(
@@ -104,7 +104,7 @@ class ItemBuffers:
             program = self._programs.feedback("skin" if skinned else "place", variant, _POSED)
             shaped = self.shapes is not None and isinstance(variant, SkinVariant) and variant.shaped
             content = [*self._content, self.shapes.content] if shaped and self.shapes else self._content
-            self._arrays[variant] = self._ctx.vertex_array(program, content)
+            self._arrays[variant] = owned(self._owned, self._ctx.vertex_array(program, content))
         return self._arrays[variant]
 
     def bounds(self, max_sigma: float) -> Bounds:
@@ -130,13 +130,6 @@ class ItemBuffers:
             rows[:, 3] = surface.ao
             rows[:, 4:7] = 1 / surface.shades
         return rows
-
-    def release(self) -> None:
-        """Delete all buffers, textures and vertex arrays."""
-        for array in self._arrays.values():
-            array.release()
-        self._arrays.clear()
-        self._owned.close()
 
     def _static(self, floats: int) -> NDArray[np.float32]:
         """Return [N, floats]: mean about the centre, opacity, quaternion wxyz, scale, padding."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from glsplat.errors import ContextError
 from glsplat.gl.context import Context
-from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.owned import owned
+from glsplat.renderer.owned import LruCache, OwnsObjects, owned
 
 FORMATS = {"8": "f1", "16f": "f2", "32f": "f4"}
 """RenderConfig.target -> moderngl dtype."""
@@ -25,7 +24,7 @@ MAX_BYTES = 256 * 2**20
 _NUMPY = {"f1": np.uint8, "f2": np.float16, "f4": np.float32}
 
 
-class Target:
+class Target(OwnsObjects):
     """Colour for V views of one size: premultiplied RGB over the background, and accumulated alpha.
 
     With ``depth`` a second texture array takes the sums of weight times camera z (metres) and of weight.
@@ -69,12 +68,8 @@ class Target:
         pixel = 4 * self.numpy_dtype.itemsize + (0 if self.depth is None else 8)
         return int(np.prod(self.shape[:3])) * pixel
 
-    def release(self) -> None:
-        """Delete framebuffer and textures."""
-        self._owned.close()
 
-
-class ByteTarget:
+class ByteTarget(OwnsObjects):
     """8 bits a channel, the views one below the other: one plain texture, so that parts of it can be read."""
 
     def __init__(self, ctx: moderngl.Context, width: int, height: int, views: int) -> None:
@@ -88,10 +83,6 @@ class ByteTarget:
     def nbytes(self) -> int:
         """GPU bytes of the texture."""
         return int(np.prod(self.shape))
-
-    def release(self) -> None:
-        """Delete framebuffer and texture."""
-        self._owned.close()
 
 
 class TargetPool:

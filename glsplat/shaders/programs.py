@@ -14,7 +14,7 @@ import moderngl
 from glsplat.errors import ShaderError
 from glsplat.shaders.slots import FRAME_BLOCK, UNITS
 from glsplat.shaders.source import STORAGE_VERSION, Source, flatten
-from glsplat.shaders.variant import MeshVariant, ResolveVariant, SkinVariant, Variant
+from glsplat.shaders.variant import Options
 
 
 class Programs:
@@ -27,7 +27,7 @@ class Programs:
     def __len__(self) -> int:
         return len(self._cache)
 
-    def feedback(self, name: str, variant: Variant | SkinVariant, varyings: Sequence[str]) -> moderngl.Program:
+    def feedback(self, name: str, variant: Options, varyings: Sequence[str]) -> moderngl.Program:
         """Return the program ``name``.vert.glsl that captures ``varyings``, interleaved in one buffer."""
         return self._get(name, {"vertex_shader": f"{name}.vert.glsl"}, variant, varyings)
 
@@ -35,7 +35,7 @@ class Programs:
         self,
         vertex: str,
         fragment: str,
-        variant: Variant | MeshVariant | ResolveVariant,
+        variant: Options,
         overrides: Mapping[str, str] = {},  # texts of chunks
     ) -> moderngl.Program:
         """Return the program of two stages; with ``variant.geometry`` ``vertex``.geom.glsl routes the layers.
@@ -51,7 +51,7 @@ class Programs:
         self,
         name: str,
         stages: Mapping[str, str],
-        variant: Variant | SkinVariant | MeshVariant | ResolveVariant,
+        variant: Options,
         varyings: Sequence[str] = (),
         overrides: Mapping[str, str] = {},
     ) -> moderngl.Program:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from typing import Any
 
 from glsplat.config import MAX_SIGMA, RenderConfig
 from glsplat.errors import ShaderError
@@ -22,8 +23,20 @@ TARGETS = tuple(ROW_BITS)
 """Targets of a program: desktop OpenGL (GLSL 3.30 core), or WebGL2 (GLSL ES 3.00)."""
 
 
+class Options:
+    """Base of the options of a program: frozen dataclasses of numbers, and perhaps a ``target``."""
+
+    __slots__ = ()
+
+    def defines(self) -> dict[str, int]:
+        """Return the #defines by name: the fields, and numbers that follow from them."""
+        numbers = [field.name for field in fields(self) if field.name != "target"]  # type: ignore[arg-type]
+        values = {name.upper(): int(getattr(self, name)) for name in numbers}
+        return values | {"ES": int(getattr(self, "target", "330") == "es300")}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Variant:
+class Variant(Options):
     """Options of the passes of a frame. Every field becomes a #define; code of a field that is 0 is not compiled."""
 
     sh_degree: int = 0  # degree that is evaluated, 0 to 3; 0 keeps one colour for all views
@@ -63,7 +76,7 @@ class Variant:
 
     def defines(self) -> dict[str, int]:
         """Return the #defines by name: the fields, and numbers that follow from them."""
-        values = _numbers(self)
+        values = Options.defines(self)
         del values["STORED_DEGREE"]  # shaders use COLOUR_TEXELS instead
         values["COLOUR_TEXELS"] = COLOUR_TEXELS[self.stored_degree]
         values["ROW_BITS"] = ROW_BITS[self.target]
@@ -90,7 +103,7 @@ def record_layout(variant: Variant) -> list[tuple[str, int]]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SkinVariant:
+class SkinVariant(Options):
     """Options of the skin pass of one avatar."""
 
     influences: int = 4  # joints per splat: 1, 2, 4, 8
@@ -104,13 +117,9 @@ class SkinVariant:
             raise ShaderError(f"skin variant: influences is 1, 2, 4 or 8, not {self.influences}")
         _check_target(self.target)
 
-    def defines(self) -> dict[str, int]:
-        """Return the #defines by name."""
-        return _numbers(self)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeshVariant:
+class MeshVariant(Options):
     """Options of the mesh pass, which draws a textured mesh in one view."""
 
     influences: int = 4  # joints per vertex
@@ -119,11 +128,11 @@ class MeshVariant:
 
     def defines(self) -> dict[str, int]:
         """Return the #defines by name."""
-        return _numbers(self) | {"VIEWS": 1}
+        return Options.defines(self) | {"VIEWS": 1}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResolveVariant:
+class ResolveVariant(Options):
     """Options of the resolve pass, which makes the 8-bit picture of one view."""
 
     cull_hidden: int = 0  # compensate opacity for culled splats (lift.glsl)
@@ -134,7 +143,7 @@ class ResolveVariant:
 
     def defines(self) -> dict[str, int]:
         """Return the #defines by name."""
-        return _numbers(self) | {"VIEWS": 1, "GEOMETRY": 0}
+        return Options.defines(self) | {"VIEWS": 1, "GEOMETRY": 0}
 
 
 def variant_for(
@@ -145,19 +154,13 @@ def variant_for(
     sh_degree: int = 3,  # of the cameras
     posed: bool = False,
     antialias: frozenset[bool] = frozenset({False}),  # flags of the scene's items
-    geometry: bool = False,
-    triangle: bool = False,
-    pulled: bool = False,
-    depth: bool = False,
-    occluded: bool = False,
-    sampled: int = 0,  # samples
-    numbered: bool = False,
     cones: bool = False,  # some splats have visibility cones
-    lit: bool = False,  # the scene has light, and some splats have a surface
+    **fields: Any,  # others of the variant, as numbers or bools
 ) -> Variant:
     """Return the smallest variant that draws a scene under ``config``."""
     degree = min(stored_degree, sh_degree, config.sh_degree)
     asked = antialias if config.antialias is None else frozenset({config.antialias})
+    others: dict[str, Any] = {name: int(value) for name, value in fields.items()}
     return Variant(
         sh_degree=degree,
         stored_degree=stored_degree,
@@ -165,23 +168,10 @@ def variant_for(
         turned=int(posed and degree > 0),
         views=views,
         antialias=2 if len(asked) > 1 else int(True in asked),
-        geometry=int(geometry),  # also for one view: it orders the vertices, and a pair has to equal its single renders
-        triangle=int(triangle),
-        pulled=int(pulled),
         cull_hidden=int(cones),
-        lit=int(lit),
         cut=int(config.max_sigma < MAX_SIGMA),
-        depth=int(depth),
-        occluded=int(occluded),
-        sampled=sampled,
-        numbered=int(numbered),
+        **others,
     )
-
-
-def _numbers(variant: Variant | SkinVariant | MeshVariant | ResolveVariant) -> dict[str, int]:
-    numbers = [field.name for field in fields(variant) if field.name != "target"]
-    values = {name.upper(): int(getattr(variant, name)) for name in numbers}
-    return values | {"ES": int(getattr(variant, "target", "330") == "es300")}
 
 
 def _check_target(target: str) -> None:

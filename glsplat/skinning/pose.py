@@ -97,7 +97,10 @@ class Pose(Value):
         """
         if not isinstance(data, Mapping):
             raise PoseError(f"a pose is a mapping of {', '.join(POSE_KEYS)}, not {type(data).__name__}")
-        data = _own_names(data)
+        for name, key in SMPLX_NAMES.items():
+            if name in data and key in data:
+                raise PoseError(f"a pose has {name} and {key}, which are the same thing; leave one out")
+        data = {SMPLX_NAMES.get(name, name): value for name, value in data.items()}
         if not any(key in data for key in (*POSE_KEYS, "trans", EXPRESSION)):
             raise PoseError(f"a pose needs at least one of {', '.join(POSE_KEYS)}, trans; found {_some(data)}")
         rotations = np.zeros((_COUNT, 3))
@@ -170,16 +173,6 @@ def load_pose(path: str | Path, skeleton: Skeleton) -> Pose:
         raise PoseError(f"{path}: a pose file is JSON, but {error}") from None
     except PoseError as error:
         raise PoseError(f"{path}: {error}") from None
-
-
-def _own_names(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the pose object with our keys instead of SMPL-X's."""
-    if not any(name in data for name in SMPLX_NAMES):
-        return data
-    for name, key in SMPLX_NAMES.items():
-        if name in data and key in data:
-            raise PoseError(f"a pose has {name} and {key}, which are the same thing; leave one out")
-    return {SMPLX_NAMES.get(name, name): value for name, value in data.items()}
 
 
 def _numbers(value: Any, key: str, joints: int) -> NDArray[np.float64]:

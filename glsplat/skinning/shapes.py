@@ -181,8 +181,7 @@ class Shapes(Value):
         each = np.diff(self.starts)[chosen]
         starts = np.concatenate([[0], np.cumsum(each)]).astype(np.int64)
         at = np.repeat(self.starts[:-1][chosen] - starts[:-1], each) + np.arange(starts[-1])
-        parts = (frozen(array[at]) for array in (self.targets, self.moves, self.bends))
-        targets, moves, bends = parts
+        targets, moves, bends = (frozen(array[at]) for array in (self.targets, self.moves, self.bends))
         return replace(self, starts=frozen(starts), targets=targets, moves=moves, bends=bends)
 
     def turned(self, linear: F64, axes: F64 | None = None) -> Shapes:

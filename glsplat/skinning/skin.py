@@ -69,7 +69,11 @@ class Skin(Value):
             pad = ((0, 0), (0, slots - ids.shape[1]))
             ids, w = frozen(np.pad(ids, pad)), frozen(np.pad(w, pad))
         if not w.all():
-            ids = _without_strays(ids, w)
+            strongest = strongest_joint(ids, w)[
+                :, None
+            ]  # for slots without weight: its bone is fetched anyway, and exists
+            stray = (w == 0) & (ids != strongest)
+            ids = frozen(np.where(stray, strongest, ids)) if stray.any() else ids
         self._keep(joints=ids, weights=w, lost=number(lost, "lost"), repaired=count(repaired, "repaired"))
 
     def __repr__(self) -> str:
@@ -182,10 +186,3 @@ class Skin(Value):
 def strongest_joint(joints: NDArray[IntT], weights: NDArray[Any]) -> NDArray[IntT]:
     """Return [N] the joint of the largest weight in each row of ``joints`` and ``weights`` [N, K]."""
     return np.take_along_axis(joints, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-
-
-def _without_strays(ids: NDArray[np.uint16], weights: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return the joints with the row's strongest in slots without weight: its bone is fetched anyway, and exists."""
-    strongest = strongest_joint(ids, weights)[:, None]
-    stray = (weights == 0) & (ids != strongest)
-    return frozen(np.where(stray, strongest, ids)) if stray.any() else ids

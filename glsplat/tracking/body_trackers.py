@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import hypot
 
-from glsplat.tracking.calibration import Calibration
+from glsplat.tracking.calibration import JOINTS, MAX_MOUNT_M, Calibration, MeanMount, bounded, standing_joints
 from glsplat.tracking.config import TrackerConfig
 from glsplat.tracking.filters import DeviceFilter
 from glsplat.tracking.judge import flag_invalid, read_pose, read_position
-from glsplat.tracking.mounts import JOINTS, MAX_MOUNT_M, MeanMount, bounded, standing_joints
 from glsplat.tracking.sample import TRACKERS, Sample
 from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import ANKLES, FEET, HIPS, KNEES, PELVIS, SPINE1, Body

@@ -1,11 +1,15 @@
-"""Calibration: the avatar's scale, the floor and the head's offset, measured beforehand or found in the session."""
+"""Calibration: the avatar's scale, the floor and the head's offset, measured beforehand or found in the session.
+
+A mount is the rigid offset of a body tracker: its joint's pose in the tracker's frame, in metres of the avatar. Joints:
+pelvis for the waist, ankles for the feet, as in the rest frames of SMPL-X.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from math import hypot
+from math import hypot, sqrt
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -17,11 +21,11 @@ from glsplat.io.files import replace_file
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.tracking.body_size import STRETCHED_WRISTS, BodySizeFinder, with_arms
 from glsplat.tracking.judge import MAX_DISTANCE_M, head_frame, read_pose
-from glsplat.tracking.mounts import MAX_MOUNT_M, MeanMount, bounded, standing_joints, transform_of
 from glsplat.tracking.sample import TRACKERS, Sample, Transform
-from glsplat.tracking.solve.body import HEAD_FRAME, Body
+from glsplat.tracking.solve import quat
+from glsplat.tracking.solve.body import ANKLES, EYES, HEAD_FRAME, PELVIS, Body
 from glsplat.tracking.solve.heading import head_pitch
-from glsplat.tracking.solve.quat import Vec, clamp, conj, length, mul, normalized, relative, sub, swing_twist_y
+from glsplat.tracking.solve.quat import JointPose, Quat, Vec, clamp, conj, length, mul, sub
 
 MIN_SCALE, MAX_SCALE = 0.5, 2.0  # of the avatar
 MAX_HEAD_MOVE_M = 0.05  # while it is measured
@@ -34,6 +38,12 @@ MAX_GAP_S = 0.5  # between samples that measure a size
 MIN_MOUNT_SAMPLES = 10  # with a tracker, to learn how it is mounted
 MAX_MOUNT_ERROR_M = 0.5  # from a tracker to its joint
 MIN_SCALE_CHANGE = 1e-5  # smaller changes of the found scale are ignored
+
+JOINTS = (PELVIS, *ANKLES)
+"""Joints of the waist, the left and the right foot, in the order of ``TRACKERS``."""
+
+MAX_MOUNT_M = (0.25, 0.2, 0.2)
+"""Limit of the distance from each tracker to its joint: a tracker is on its user's body."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +150,7 @@ def calibrate(
     if not MIN_EYES_M <= eyes <= MAX_EYES_M:
         expected = f"{MIN_EYES_M} to {MAX_EYES_M} m"
         raise PoseError(f"the eyes are {eyes:.2f} m above the floor; expected {expected} (is the floor right?)")
-    pitches = [head_pitch(normalized(mul((h[6], h[3], h[4], h[5]), conj(HEAD_FRAME)))) for h in still]
+    pitches = [head_pitch(quat.normalized(mul((h[6], h[3], h[4], h[5]), conj(HEAD_FRAME)))) for h in still]
     pitch = sum(pitches) / len(pitches)
     scale, span = eyes / body.eye_height, None
     spans = [
@@ -194,18 +204,66 @@ def _mounts(samples: Sequence[Sample], middle: Vec, body: Body, scale: float, fl
         head = read_pose(sample.head, scale, floor, [])
         if head is None or sample.head is None or length(sub(sample.head[:3], middle)) > MAX_HEAD_MOVE_M:
             continue
-        yaw = swing_twist_y(mul(head[1], conj(HEAD_FRAME)))
+        yaw = quat.swing_twist_y(mul(head[1], conj(HEAD_FRAME)))
         if yaw is None:
             continue
         for name, joint in zip(TRACKERS, standing_joints(body, head[0], yaw), strict=True):
             tracker = read_pose(getattr(sample, name), scale, floor, [])
             if tracker is not None and length(sub(tracker[0], joint[0])) < MAX_MOUNT_ERROR_M:
-                means[name].add(relative(tracker, joint), 1.0)
+                means[name].add(quat.relative(tracker, joint), 1.0)
     return {
         name: transform_of(bounded(mean.mount(), most), scale)
         for (name, mean), most in zip(means.items(), MAX_MOUNT_M, strict=True)
         if mean.weight >= MIN_MOUNT_SAMPLES
     }
+
+
+def bounded(mount: JointPose, most: float) -> JointPose:
+    """Return the mount with its offset shortened to ``most`` metres."""
+    far = length(mount[0])
+    return mount if far <= most else (quat.scale(mount[0], most / far), mount[1])
+
+
+def standing_joints(body: Body, eye: Vec, yaw: float) -> list[JointPose]:
+    """Return pelvis and ankles of the zero pose on the ground, its eyes over ``eye``, its heading ``yaw``."""
+    turn = quat.yaw_quat(yaw)
+    a, b = (body.joints[joint] for joint in EYES)
+    x, _, z = quat.rotate(turn, (0.5 * (a[0] + b[0]), 0.0, 0.5 * (a[2] + b[2])))
+    origin = (eye[0] - x, -body.ground, eye[2] - z)
+    return [(quat.add(origin, quat.rotate(turn, body.joints[joint])), turn) for joint in JOINTS]
+
+
+class MeanMount:
+    """The weighted mean of several mounts."""
+
+    def __init__(self) -> None:
+        self.weight = 0.0
+        self._offset: Vec = (0.0, 0.0, 0.0)
+        self._turn: Quat = (0.0, 0.0, 0.0, 0.0)
+        self._first: Quat | None = None
+
+    def add(self, mount: JointPose, weight: float) -> None:
+        """Add a mount."""
+        offset, turn = mount
+        first = self._first = self._first or turn
+        sign = weight if sum([a * b for a, b in zip(first, turn, strict=True)]) >= 0 else -weight
+        w, x, y, z = self._turn
+        self._turn = (w + sign * turn[0], x + sign * turn[1], y + sign * turn[2], z + sign * turn[3])
+        self._offset = quat.add(self._offset, quat.scale(offset, weight))
+        self.weight += weight
+
+    def mount(self) -> JointPose:
+        """Return the mean; the identity where nothing was added."""
+        if self.weight <= 0:
+            return (0.0, 0.0, 0.0), quat.IDENTITY
+        return quat.scale(self._offset, 1 / self.weight), quat.normalized(self._turn)
+
+
+def transform_of(mount: JointPose, metres: float) -> Transform:
+    """Return x, y, z times ``metres``, then the quaternion x, y, z, w."""
+    (x, y, z), (w, i, j, k) = mount
+    n = 1 / sqrt(w * w + i * i + j * j + k * k)
+    return (x * metres, y * metres, z * metres, i * n, j * n, k * n, w * n)
 
 
 class SessionCalibration:

@@ -73,6 +73,9 @@ def checked(solution: Any) -> Solution:
         a, b = _counted(solution.feet, 2, "feet")
         if isinstance(solution.notes, str) or not all(isinstance(note, str) for note in solution.notes):
             raise PoseError("a solution's notes are a list of strings")
+        errors = tuple([_number(error, "expected_error") for error in solution.expected_error])
+        if errors and min(_counted(errors, JOINT_COUNT, "expected_error")) < 0:
+            raise PoseError("a solution's expected_error needs metres of 0 or more")
         return Solution(
             rotations,
             pelvis,
@@ -82,7 +85,7 @@ def checked(solution: Any) -> Solution:
             bool(solution.airborne),
             list(solution.notes),
             (None if a is None else _position(a, "feet"), None if b is None else _position(b, "feet")),
-            _expected_error(solution.expected_error),
+            errors,
         )
     except (TypeError, ValueError, OverflowError) as error:  # not numbers, not sequences
         raise PoseError(f"expected a glsplat.tracking.Solution ({error})") from None
@@ -131,15 +134,6 @@ def _position(position: Any, name: str) -> Vec:
     if not within_range(x, y, z):
         raise PoseError(f"a solution's {name} needs metres within {MAX_DISTANCE_M:g}, not {position!s:.80}")
     return (float(x), float(y), float(z))
-
-
-def _expected_error(values: Any) -> tuple[float, ...]:
-    if len(values) == 0:
-        return ()
-    metres = tuple([_number(value, "expected_error") for value in _counted(values, JOINT_COUNT, "expected_error")])
-    if min(metres) < 0:
-        raise PoseError("a solution's expected_error needs metres of 0 or more")
-    return metres
 
 
 def _number(value: Any, name: str) -> float:

@@ -16,24 +16,8 @@ from typing import Generic, TypeVar
 
 from glsplat.tracking.config import OneEuro, TrackerConfig
 from glsplat.tracking.judge import Moment
-from glsplat.tracking.solve.quat import (
-    IDENTITY,
-    JointPose,
-    Quat,
-    Vec,
-    add,
-    clamp,
-    conj,
-    length,
-    mul,
-    nlerp,
-    pull,
-    rotation_vector,
-    scale,
-    slerp,
-    sub,
-    to_quat,
-)
+from glsplat.tracking.solve import quat
+from glsplat.tracking.solve.quat import JointPose, Quat, Vec, add, clamp, length, mul, pull
 from glsplat.tracking.solve.solution import Targets
 
 Value = TypeVar("Value", bound=tuple[float, ...])
@@ -60,7 +44,7 @@ class Trend:
         """Add a move by ``step`` in ``dt`` seconds."""
         self._now += dt
         far, most = length(step), self._max_speed * dt
-        self._path = add(self._path, step if far <= most else scale(step, most / far))
+        self._path = add(self._path, step if far <= most else quat.scale(step, most / far))
         self._past.append((self._now, self._path))
         while self._now - self._past[0][0] > TREND_S:
             self._past.popleft()
@@ -117,7 +101,7 @@ class PositionFilter(_Filter[Vec]):
         """Return the filtered point ``dt`` seconds after the last one."""
         last, value = self.first, self.value
         if self.trend is not None:
-            self.trend.add(sub(raw, self._raw or raw), dt)
+            self.trend.add(quat.sub(raw, self._raw or raw), dt)
             self._raw = raw
         if last is None or value is None:
             self.first = self.value = raw
@@ -145,12 +129,12 @@ class RotationFilter(_Filter[Quat]):
         """Return the filtered rotation ``dt`` seconds after the last one."""
         last, value = self.first, self.value
         if self.trend is not None:
-            self.trend.add(rotation_vector(mul(raw, conj(self._raw or raw))), dt)
+            self.trend.add(quat.rotation_vector(mul(raw, quat.conj(self._raw or raw))), dt)
             self._raw = raw
         if last is None or value is None:
             self.first = self.value = raw
             return raw
-        # the turn from the last value, world axes: raw conj(last)
+        # the turn from the last value, world axes: raw quat.conj(last)
         aw, ax, ay, az = raw
         bw, bx, by, bz = last
         w = aw * bw + ax * bx + ay * by + az * bz
@@ -168,17 +152,17 @@ class RotationFilter(_Filter[Quat]):
         allowed = min(angle, most)
         k = (angle and allowed / angle) * share
         if angle < NLERP_BELOW_RAD:
-            first = nlerp(last, raw, k)
+            first = quat.nlerp(last, raw, k)
         else:  # the allowed turn, shortened to the part k of the whole turn
             f = clamp(k * angle / allowed, 0.0, 1.0) if allowed > 1e-12 else 0.0
-            first = mul(to_quat((x * f, y * f, z * f)), last)
+            first = mul(quat.to_quat((x * f, y * f, z * f)), last)
         self.first = first
-        self.value = value = first if share == 1 else slerp(value, first, share)
+        self.value = value = first if share == 1 else quat.slerp(value, first, share)
         return value
 
     def ahead(self, seconds: float, most: float) -> Quat:
         """Return the value extrapolated at its present angular velocity, by at most ``most`` radians."""
-        return mul(to_quat(self._move(seconds, most)), self.value or IDENTITY)
+        return mul(quat.to_quat(self._move(seconds, most)), self.value or quat.IDENTITY)
 
 
 class DeviceFilter:

@@ -38,7 +38,7 @@ class InputJudge:
         self._head_frame: Quat = head_frame(head_pitch)
         self._hand_frames = (conj(HAND_FRAMES["left"]), conj(HAND_FRAMES["right"]))
         # of the device, so that a new user changes nothing
-        self._last_head: Transform | None = None  # as in the sample
+        self._last_head: tuple[float, ...] | None = None  # as in the sample
         self._repeats = 0  # samples in a row with that head
         self.reset()
 
@@ -106,16 +106,13 @@ class InputJudge:
             restart = True
         if restart and head is None:  # lost over a gap: stay where it was last seen
             head = last_head
-        if tracked:
-            self._flag_frozen(sample.head, flags)
+        if tracked and sample.head is not None:
+            raw = tuple(sample.head)
+            self._repeats = self._repeats + 1 if raw == self._last_head else 0
+            self._last_head = raw
+            if self._repeats * self._typical_dt > FROZEN_AFTER_S:
+                flags.append("frozen")
         return Moment(head, hands, min(dt or self._typical_dt, self.config.gap), restart)
-
-    def _flag_frozen(self, head: Transform | None, flags: list[str]) -> None:
-        raw = None if head is None else tuple(head)
-        self._repeats = self._repeats + 1 if raw == self._last_head else 0
-        self._last_head = raw  # type: ignore[assignment]
-        if self._repeats * self._typical_dt > FROZEN_AFTER_S:
-            flags.append("frozen")
 
 
 def head_frame(pitch: float) -> Quat:

@@ -200,8 +200,8 @@ MANY: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "no weight": (lambda: Skin([[0, 1], [0, 1]], [[1, 0], [0, 0]]), ("splat 1 has no weight",)),
     "nine influences": (lambda: Skin(np.zeros((1, 9), int), np.ones((1, 9))), ("influences=8",)),
     "other weights": (lambda: Skin([[0, 1]], [[1.0]]), ("one shape",)),
-    "avatar of a skin": (lambda: Avatar(Skin([[0]], [[1.0]]), two_bones(), one_splat()), ("splats needs Splats",)),  # type: ignore[arg-type]
-    "avatar of nothing": (lambda: Avatar(one_splat(), None, Skin([[0]], [[1.0]])), ("skeleton needs Skeleton",)),  # type: ignore[arg-type]
+    "avatar of a skin": (lambda: Avatar(Skin([[0]], [[1.0]]), two_bones(), one_splat()), ("splats needs a Splats",)),  # type: ignore[arg-type]
+    "avatar of nothing": (lambda: Avatar(one_splat(), None, Skin([[0]], [[1.0]])), ("skeleton needs a Skeleton",)),  # type: ignore[arg-type]
     "trans [1, 3]": (lambda: Pose(np.zeros((2, 3)), trans=np.zeros((1, 3))), ("(3,)",)),
     "a hand of PCA": (lambda: Pose.from_smplx({"left_hand_pose": np.zeros(6)}), ("15 x 3", "PCA")),
     "a body [3, 21]": (lambda: Pose.from_smplx({"body_pose": np.zeros((3, 21))}), ("21 x 3",)),

@@ -65,7 +65,7 @@ MISTAKES = {
         render ../in/cloud.ply --size 1 --turntable 2 -o x.mp4 : at least 2x2
         render -o x.png --size 0            : --size: a size is at least 1x1
         render -o x.png --fov nan           : --fov
-        render -o x.png --ipd nan           : --ipd: a finite number of at least 0
+        render -o x.png --ipd nan           : --ipd: needs a number of at least 0
         render -o x.png --background 255,0,0 : --background: a colour is R,G,B from 0 to 1
         render -o x.png --level 17          : --level: a level is 0 to 16 or auto, not '17'
         render -o x.png --lod-bias 1        : --lod-bias goes with --level auto
@@ -104,7 +104,7 @@ MISTAKES = {
         avatar export ../in/limb.glb --pose ../in/degrees.json -o a.ply : joint1 turns by 90 rad; angles are radians
         avatar reduce ../in/limb.glb --splats 99 -o a.glb : has 600 splats; --splats needs 100 or more and fewer than
         avatar reduce ../in/cloud.ply --splats 150 -o a.glb : has no skeleton; reduce is for avatars
-        avatar reduce ../in/limb.glb --splats few -o a.glb : a whole number of at least 0 is needed, not 'few'
+        avatar reduce ../in/limb.glb --splats few -o a.glb : needs a whole number of at least 0, not "few"
         avatar levels ../in/levels.glb -o c.glb : has 3 coarser levels already; --force replaces them
         avatar levels ../in/cloud.ply -o c.glb --counts 900 : --counts needs fewer, not 900
         avatar levels ../in/cloud.ply -o c.glb --counts 10 20 : --counts needs falling numbers above 0, not 10 20
@@ -319,7 +319,7 @@ def test_camera_files_that_are_none(here: Path, tmp_path: Path, capsys: pytest.C
         (good | {"width": True}, "width needs a whole number"),
         (good | {"w2c": np.eye(3).tolist()}, "4x4 matrix"),
         (good | {"w2c": skew}, "rotation"),
-        (good | {"fx": "100"}, "fx needs a finite number, not '100'"),
+        (good | {"fx": "100"}, "fx needs a number, not str '100'"),
         (good | {"bg": [1e200, 0, 0]}, "a background needs 0 to 1, found 1e+200"),
         (good | {"sh_degree": 1.7}, "sh_degree needs a whole number"),
         (good | {"fx": 1e300}, "below 1e+12"),

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from glsplat.gl.context import Context
-from glsplat.renderer.lru_cache import LruCache
-from glsplat.renderer.mesh_buffers import reach_of
+from glsplat.renderer.mesh_pass import reach_of
+from glsplat.renderer.owned import LruCache
 from glsplat.renderer.stage import ItemBuffers
 from glsplat.renderer.stats import union
 from glsplat.renderer.targets import MAX_SIZES, TargetPool

@@ -13,11 +13,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.fit.standing.arms import ArmMixture
-from glsplat.rotations import quaternion_matrices
+from tools.data.sizes import forward
 
 CREDIT = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "
@@ -41,7 +40,7 @@ def arms_of(path: Path) -> F64:
     names = [str(name) for name in pack["joint_names"]]
     step = max(round(float(pack["fps"]) / RATE), 1)
     at = pack["pos_i16"][::step] * float(pack["pos_scale"]) + pack["pos_offset"]
-    turns = _global(pack["local_quat_i16"][::step].astype(np.float64), pack["parents"])
+    turns, _ = forward(pack["local_quat_i16"][::step], pack["parents"], pack["rest_offsets"])
 
     def joint(name: str) -> F64:
         return np.asarray(at[:, names.index(name)], np.float64)
@@ -67,19 +66,6 @@ def arms_of(path: Path) -> F64:
     return np.concatenate(arms)
 
 
-def _global(quats: F64, parents: NDArray[np.int64]) -> F64:
-    """Return global rotations [T, J, 3, 3] of local ones, wxyz [T, J, 4]; parents may come after their children."""
-    local = quaternion_matrices(quats / np.linalg.norm(quats, axis=-1, keepdims=True))
-    out: dict[int, F64] = {-1: np.broadcast_to(np.eye(3), (len(local), 3, 3))}
-
-    def of(joint: int) -> F64:
-        if joint not in out:
-            out[joint] = of(int(parents[joint])) @ local[:, joint]
-        return out[joint]
-
-    return np.stack([of(joint) for joint in range(len(parents))], axis=1)
-
-
 def learned(arms: F64, kinds: int = KINDS, seed: int = 0, steps: int = 200) -> ArmMixture:
     """Return a mixture of ``kinds`` Gaussians fitted to arms [N, 4] by expectation maximisation from seeded starts."""
     rng = np.random.default_rng(seed)
@@ -100,14 +86,14 @@ def learned(arms: F64, kinds: int = KINDS, seed: int = 0, steps: int = 200) -> A
     return mixture
 
 
-def with_others(mixture: ArmMixture, share: float = OTHERS, grow: float = WIDER) -> ArmMixture:
+def with_others(mixture: ArmMixture) -> ArmMixture:
     """Return the mixture with one more Gaussian as wide as all: the pack has hardly any hands on hips."""
     mean = mixture.shares @ mixture.means
     off = mixture.means - mean
     spread = np.einsum("k,kij->ij", mixture.shares, mixture.covariances + off[:, :, None] * off[:, None])
-    shares = np.append(mixture.shares * (1 - share), share)
+    shares = np.append(mixture.shares * (1 - OTHERS), OTHERS)
     return ArmMixture(
-        shares, np.vstack([mixture.means, mean]), np.concatenate([mixture.covariances, grow * spread[None]])
+        shares, np.vstack([mixture.means, mean]), np.concatenate([mixture.covariances, WIDER * spread[None]])
     )
 
 

@@ -86,14 +86,12 @@ def persons(clips: Iterable[Path]) -> dict[str, Person]:
         subject = path.stem.rsplit("_", 1)[0]
         with np.load(path) as clip:
             rate, at = float(clip["fps"]), clip["pos_i16"] * clip["pos_scale"].astype(float) + clip["pos_offset"]
-            quats = clip["local_quat_i16"].astype(float)
-            names, parents, offsets = [str(n) for n in clip["joint_names"]], clip["parents"], clip["rest_offsets"]
+            quats, parents, offsets = clip["local_quat_i16"], clip["parents"], clip["rest_offsets"]
+            names = [str(n) for n in clip["joint_names"]]
         if abs(rate - RATE) > 1:
             continue
         index = {name: i for i, name in enumerate(names)}
-        turns, rest = _forward(
-            quaternion_matrices(quats / np.linalg.norm(quats, axis=-1, keepdims=True)), parents, offsets
-        )
+        turns, rest = forward(quats, parents, offsets)
         ankles = [index["l_ankle"], index["r_ankle"]]
         sole = float(np.clip(np.percentile(at[:, ankles, 1].min(1), 20), 0.06, 0.15))  # height of a standing ankle
         eye_height = rest[index["head_top"], 1] - rest[ankles, 1].min() + sole
@@ -112,8 +110,13 @@ def persons(clips: Iterable[Path]) -> dict[str, Person]:
     return {name: Person(float(np.median(tall)), tuple(parts[name])) for name, tall in heights.items()}
 
 
-def _forward(local: Array, parents: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return world rotations [T, J, 3, 3] and rest positions [J, 3]; parents may come after children."""
+def forward(quats: NDArray[np.int16], parents: Array, offsets: Array) -> tuple[Array, Array]:
+    """Return world rotations [T, J, 3, 3] of local ones, wxyz [T, J, 4] of any length, and rest positions [J, 3].
+
+    Parents may come after children.
+    """
+    unit = quats.astype(float)
+    local = quaternion_matrices(unit / np.linalg.norm(unit, axis=-1, keepdims=True))
     turns, rest = np.array(local), np.zeros((len(parents), 3))
     todo = set(range(len(parents)))
     while todo:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from glsplat.io.files import replace_file
-from tools.docs.measured import FOLDER, Table, page_of
+from tools.docs.measured import FOLDER, Table, page_of, table_of
 
 MEASURES = {"l1": "L1", "lpips": "LPIPS", "psnr": "PSNR", "ssim": "SSIM"}
 CONTROLS = {"tracking": "head and hands", "pose": "the true pose"}
@@ -24,12 +24,6 @@ def text(spread: Mapping[str, Any], name: str, deviation: bool = True) -> str:
     digits = 1 if name == "psnr" else 3
     mean = f"{spread['mean']:.{digits}f}"
     return f"{mean} ({spread['sd']:.{digits}f})" if deviation and spread["sd"] is not None else mean
-
-
-def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table, with the first column aligned left and the others right."""
-    lines = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def first(found: Mapping[str, Any]) -> str:
@@ -44,7 +38,7 @@ def first(found: Mapping[str, Any]) -> str:
         if row["control"] == "tracking" and "paper" in row:
             cells = [str(row["paper"][name]) for name in MEASURES]
             rows.append([f"the paper's {row['method']}", "head and hands", *cells, "", "24"])
-    return table(["method", "driven by", *MEASURES.values(), "overlap", "people"], rows)
+    return table_of(["method", "driven by", *MEASURES.values(), "overlap", "people"], rows)
 
 
 def along(found: Mapping[str, Any], key: str, rows_of: str, names: Sequence[str]) -> str:
@@ -56,7 +50,7 @@ def along(found: Mapping[str, Any], key: str, rows_of: str, names: Sequence[str]
         [f"`{method}`", *(" / ".join(text(by[method, label][name], name, False) for name in names) for label in labels)]
         for method in found["methods"]
     ]
-    return table(["method", *labels], lines)
+    return table_of(["method", *labels], lines)
 
 
 def pairs(found: Mapping[str, Any]) -> str:
@@ -81,7 +75,7 @@ def pairs(found: Mapping[str, Any]) -> str:
                             f"{row['p_holm']:.1g}",
                         ]
                     )
-    return table(["methods", "measure", "difference", "95 % interval", "effect", "p (Holm)"], rows)
+    return table_of(["methods", "measure", "difference", "95 % interval", "effect", "p (Holm)"], rows)
 
 
 def costs(found: Mapping[str, Any]) -> str:
@@ -97,7 +91,7 @@ def costs(found: Mapping[str, Any]) -> str:
             [f"`{row['method']}`", f"2 x {row['size']}^2", count, *cells, memory, f"{row['lpips']:.3f}", papers]
         )
     heads = ["method", "pixels", "of", "both at once (ms)", "two renders (ms)", "gain", "GPU memory (MB)", "LPIPS"]
-    return table([*heads, "the paper's (GPU)"], rows)
+    return table_of([*heads, "the paper's (GPU)"], rows)
 
 
 def made(found: Mapping[str, Any]) -> str:
@@ -107,7 +101,7 @@ def made(found: Mapping[str, Any]) -> str:
         mine = [row["product"] for row in found["participants"] if row["method"] == method and "product" in row]
         seconds, size = (sorted(one[key] for one in mine)[len(mine) // 2] for key in ("seconds", "bytes"))
         rows.append([f"`{method}`", f"{seconds:.0f}", f"{size / 1e6:.1f}"])
-    return table(["method", "made in (s)", "file (MB)"], rows)
+    return table_of(["method", "made in (s)", "file (MB)"], rows)
 
 
 def poses(found: Mapping[str, Any]) -> str:
@@ -121,7 +115,7 @@ def poses(found: Mapping[str, Any]) -> str:
             cells.append(f"{1 - posed / tracked:.0%}")
         gain = by[method, "pose"]["psnr"]["mean"] - by[method, "tracking"]["psnr"]["mean"]
         rows.append([f"`{method}`", *cells, f"{gain:+.1f} dB"])
-    return table(["method", "of L1", "of LPIPS", "PSNR"], rows)
+    return table_of(["method", "of L1", "of LPIPS", "PSNR"], rows)
 
 
 def tables(found: Mapping[str, Any]) -> Iterator[Table]:
@@ -147,8 +141,7 @@ def page(found: Mapping[str, Any]) -> bytes:
     said = f"Commit {found['made_by']}, {found['date']}. {found['drivers']}; {found['machine']}.\n"
     said += f"Failed: {found['failures'] or 'none'}."
     how = "python -m tools.docs.evaluation_results out/evaluation"
-    own = ((name, about, markdown.strip()) for name, about, markdown in tables(found))
-    return page_of("Avatars compared with people", how, said, own)
+    return page_of("Avatars compared with people", how, said, tables(found))
 
 
 def main() -> None:

@@ -7,20 +7,16 @@ Look at every picture at full size.
 
 from __future__ import annotations
 
-import asyncio
 import runpy
 import sys
 import tempfile
-import threading
-from collections.abc import Iterator
-from contextlib import chdir, contextmanager
+from contextlib import chdir
 from pathlib import Path
 
 import cv2
 
-import glsplat
-from glsplat.net import ServerConfig
-from glsplat.net.served_scene import gl_server
+from apps.demo import running_server
+from glsplat.config import RenderConfig
 from tools.docs.site.public import ROOT
 
 PICTURES = {
@@ -38,28 +34,6 @@ PICTURES = {
 """The picture that each of the ten programs writes, in the page's order."""
 LARGEST = 60_000  # bytes
 _SIDE = 960  # pixels, the longer one
-
-
-@contextmanager
-def served() -> Iterator[str]:
-    """Serve the embedded avatar in this process and yield the address."""
-    ready, state = threading.Event(), {}
-
-    async def main() -> None:
-        server = gl_server(glsplat.default_avatar(), ServerConfig(port=0), own_process=False)
-        await server.start()
-        state.update(url=server.url, loop=asyncio.get_running_loop(), end=asyncio.Event())
-        ready.set()
-        await state["end"].wait()
-        await server.stop()
-
-    thread = threading.Thread(target=asyncio.run, args=(main(),))
-    thread.start()
-    if not ready.wait(60):
-        raise SystemExit("the server did not start within a minute")
-    yield state["url"]
-    state["loop"].call_soon_threadsafe(state["end"].set)
-    thread.join(20)
 
 
 def run(name: str, *arguments: str) -> None:
@@ -88,7 +62,7 @@ def shrunk(picture: Path) -> bytes:
 
 def main() -> None:
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else ROOT / "docs" / "images").resolve()
-    with tempfile.TemporaryDirectory() as place, chdir(place), served() as url:
+    with tempfile.TemporaryDirectory() as place, chdir(place), running_server(None, RenderConfig()) as url:
         for name, picture in PICTURES.items():
             run(name, *([url] if name == "drive_server" else []))
             data = shrunk(Path(picture))

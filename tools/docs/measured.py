@@ -16,7 +16,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -79,6 +79,12 @@ def script(module: str, *words: str, cwd: Path = ROOT) -> str:
     return done.stdout.decode()
 
 
+def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table, with the first column aligned left and the others right."""
+    lines = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
 def frame() -> Iterator[Table]:
     """Measure a frame stage by stage."""
     sizes = [f"{side}x{side}" for side in SIZES]
@@ -95,10 +101,8 @@ def frame() -> Iterator[Table]:
 
 def hard() -> Iterator[Table]:
     """Run every stability case."""
-    context, rows = (
-        create_context(),
-        ["| of | case | input | stated behaviour | largest error | |", "|---|---|---|---|--:|---|"],
-    )
+    context = create_context()
+    rows = ["| of | case | input | stated behaviour | largest error | |", "|---|---|---|---|--:|---|"]
     for row in judge(all_cases(), context):
         error = "" if row["error"] is None else f"{row['error']:.2g} {row['unit']}"
         rows.append("| " + " | ".join([*hard_cells(row), error, row["verdict"]]) + " |")
@@ -148,24 +152,23 @@ def stream() -> Iterator[Table]:
     common = ("demo", "-o", str(ROOT / "out" / "measured"), "--seconds", "6", "--sizes", *sizes, "--json")
     exact = json.loads(command(*common, "--exact"))["runs"]
     lean = json.loads(command(*common))["runs"]
-    rows = [
-        "| from raw tracking to decoded JPEG, both eyes | " + " | ".join(f"2 x {side}^2" for side in SIZES) + " |",
-        "|---|" + "--:|" * len(SIZES),
-    ]
+    rows = []
     for name, runs in (("every splat (`--exact`)", exact), ("as `serve` draws it", lean)):
         cells = [f"{run['fps']:.0f} a second, {run['age_ms']['median']:.0f} ms old" for run in runs.values()]
-        rows.append(f"| {name} | " + " | ".join(cells) + " |")
-    yield "summary", "`glsplat demo`: pictures shown a second, and the median age of the one on show.", "\n".join(rows)
+        rows.append([name, *cells])
+    heads = ["from raw tracking to decoded JPEG, both eyes", *(f"2 x {side}^2" for side in SIZES)]
+    about = "`glsplat demo`: pictures shown a second, and the median age of the one on show."
+    yield "summary", about, table_of(heads, rows)
     ours = [lean[f"{side}x{side}"]["stages_ms"] for side in (512, 1024)]
-    rows = ["| stage | paper | glsplat, 2 x 512^2 | p95 | glsplat, 2 x 1024^2 | p95 |", "|---|--:|--:|--:|--:|--:|"]
+    rows = []
     for key, name, _ in STAGES:
         cells = [f"{run[key][part]:.1f}" for run in ours for part in ("median", "p95")]
-        rows.append(f"| {name} | {PAPER[key]} | " + " | ".join(cells) + " |")
+        rows.append([name, str(PAPER[key]), *cells])
     yield (
         "paper",
         "Medians in ms beside the paper's appendix (localhost, 2 x 1024^2, a CUDA rasterizer on a desktop GPU).\n"
         "Its decoding includes the display. Both columns of glsplat are drawn by a CPU.",
-        "\n".join(rows),
+        table_of(["stage", "paper", "glsplat, 2 x 512^2", "p95", "glsplat, 2 x 1024^2", "p95"], rows),
     )
     with running_server(None) as url:
         for side in (512, 1024):

@@ -85,10 +85,6 @@ def measured(folder: Path, person: Path, minutes: float) -> dict[str, list[dict[
     return out
 
 
-def _say(text: str) -> None:
-    print(" ", text, file=sys.stderr, flush=True)
-
-
 def check_quiet(name: str, quiet: Quiet) -> None:
     """Raise GlsplatError unless the machine was quiet."""
     if not quiet.ok:

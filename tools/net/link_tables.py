@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from statistics import median
 
 from glsplat.extras.far_links.link_control import LinkControl
@@ -19,6 +20,11 @@ def goal(trip: float) -> float:
     return 1.3 * (trip + 120)
 
 
+def steady(rate: float, trip: float, loss: float = 0) -> Link:
+    """Return a link of constant rate (Mbit/s), round trip (ms) and loss (percent)."""
+    return Link(lambda now: rate, trip / 1e3, loss / 100)
+
+
 def _cells(outcome: Outcome, rate: float) -> str:
     used = 8e-6 * outcome.nbytes / outcome.seconds / rate
     return (
@@ -32,15 +38,13 @@ def alone() -> Iterator[str]:
     names = "shown/s | age | 95 % | used | LPIPS"
     yield f"| Mbit/s | ms | loss | {names} | {names} | goal, ms | met by |"
     yield "|" + "--:|" * 14 + "---|"
-    for loss in LOSSES:
-        for rate in RATES:
-            for trip in TRIPS:
-                link = Link(lambda now, rate=rate: rate, trip / 1e3, loss / 100)  # type: ignore[misc]
-                policies: dict[str, Policy] = {"server": LinkControl(), "oracle": Oracle(link)}
-                found = {name: play(link, [policy])[0] for name, policy in policies.items()}
-                met = [name for name, one in found.items() if one.age(0.95) * 1e3 <= goal(trip)]
-                cells = " | ".join(_cells(one, rate) for one in found.values())
-                yield f"| {rate} | {trip} | {loss} % | {cells} | {goal(trip):.0f} | {', '.join(met) or 'none'} |"
+    for loss, rate, trip in product(LOSSES, RATES, TRIPS):
+        link = steady(rate, trip, loss)
+        policies: dict[str, Policy] = {"server": LinkControl(), "oracle": Oracle(link)}
+        found = {name: play(link, [policy])[0] for name, policy in policies.items()}
+        met = [name for name, one in found.items() if one.age(0.95) * 1e3 <= goal(trip)]
+        cells = " | ".join(_cells(one, rate) for one in found.values())
+        yield f"| {rate} | {trip} | {loss} % | {cells} | {goal(trip):.0f} | {', '.join(met) or 'none'} |"
 
 
 def falling() -> Iterator[str]:
@@ -67,16 +71,13 @@ def shared() -> Iterator[str]:
     """Yield the table of two clients behind one bottleneck; the second starts at once, or 8 s after the first."""
     yield "| Mbit/s | ms | second after, s | parts of what is sent | of the rate | 95 %, ms | goal, ms |"
     yield "|--:|--:|--:|--:|--:|--:|--:|"
-    for rate in RATES:
-        for trip in TRIPS:
-            for later in (0.0, 8.0):
-                link = Link(lambda now, rate=rate: rate, trip / 1e3)  # type: ignore[misc]
-                both = play(link, [LinkControl(), LinkControl()], starts=(0.0, later + 0.003))
-                sent = sum(one.nbytes for one in both)
-                parts = ", ".join(f"{one.nbytes / sent:.2f}" for one in both)
-                late = ", ".join(f"{one.age(0.95) * 1e3:.0f}" for one in both)
-                used = 8e-6 * sent / both[0].seconds / rate
-                yield f"| {rate} | {trip} | {later:.0f} | {parts} | {used:.2f} | {late} | {goal(trip):.0f} |"
+    for rate, trip, later in product(RATES, TRIPS, (0.0, 8.0)):
+        both = play(steady(rate, trip), [LinkControl(), LinkControl()], starts=(0.0, later + 0.003))
+        sent = sum(one.nbytes for one in both)
+        parts = ", ".join(f"{one.nbytes / sent:.2f}" for one in both)
+        late = ", ".join(f"{one.age(0.95) * 1e3:.0f}" for one in both)
+        used = 8e-6 * sent / both[0].seconds / rate
+        yield f"| {rate} | {trip} | {later:.0f} | {parts} | {used:.2f} | {late} | {goal(trip):.0f} |"
 
 
 class Unanswered(LinkControl):
@@ -92,7 +93,7 @@ def busy() -> Iterator[str]:
     yield "|--:|---|--:|--:|--:|"
     for every in (0, 100, 150, 300, 400):
         for name, policy in (("the client", Unanswered()), ("pings", LinkControl())):
-            outcome = play(Link(lambda now: 100.0, 1e-3), [policy], busy=every / 1e3)[0]
+            outcome = play(steady(100, 1), [policy], busy=every / 1e3)[0]
             share, shown = outcome.full / outcome.arrived, outcome.shown / outcome.seconds
             yield f"| {every} | {name} | {share:.0%} | {median(outcome.losses):.3f} | {shown:.1f} |"
 
@@ -106,10 +107,9 @@ def video() -> Iterator[str]:
     yield "| Mbit/s | ms | loss | JPEG: shown/s | 95 % | LPIPS | video: shown/s | 95 % | LPIPS | goal, ms |"
     yield "|" + "--:|" * 10
     for rate, trip, loss in ((2, 20, 0), (2, 150, 0), (20, 60, 1), (5, 60, 1), (20, 150, 1), (5, 150, 1), (20, 150, 3)):
-        link = Link(lambda now, rate=rate: rate, trip / 1e3, loss / 100)  # type: ignore[misc]
         cells = []
         for full in (FULL, VIDEO):
-            one = play(link, [LinkControl()], full=full)[0]
+            one = play(steady(rate, trip, loss), [LinkControl()], full=full)[0]
             cells.append(f"{one.shown / one.seconds:.1f} | {one.age(0.95) * 1e3:.0f} | {median(one.losses):.3f}")
         yield f"| {rate} | {trip} | {loss} % | {' | '.join(cells)} | {goal(trip):.0f} |"
 
@@ -119,15 +119,12 @@ def datagrams() -> Iterator[str]:
     names = "shown/s | age | 95 % | LPIPS"
     yield f"| Mbit/s | ms | loss | {names} | {names} | goal, ms | met by |"
     yield "|" + "--:|" * 12 + "---|"
-    for loss in LOSSES:
-        for rate in RATES:
-            for trip in TRIPS:
-                link = Link(lambda now, rate=rate: rate, trip / 1e3, loss / 100)  # type: ignore[misc]
-                cells, met = [], []
-                for name in ("TCP", "datagrams"):
-                    one = play(link, [LinkControl()], datagrams=name == "datagrams")[0]
-                    late, seen = one.age(0.95) * 1e3, median(one.losses)
-                    cells.append(f"{one.shown / one.seconds:.1f} | {one.age(0.5) * 1e3:.0f} | {late:.0f} | {seen:.3f}")
-                    met += [name] * (late <= goal(trip))
-                by = ", ".join(met) or "none"
-                yield f"| {rate} | {trip} | {loss} % | {' | '.join(cells)} | {goal(trip):.0f} | {by} |"
+    for loss, rate, trip in product(LOSSES, RATES, TRIPS):
+        cells, met = [], []
+        for name in ("TCP", "datagrams"):
+            one = play(steady(rate, trip, loss), [LinkControl()], datagrams=name == "datagrams")[0]
+            late, seen = one.age(0.95) * 1e3, median(one.losses)
+            cells.append(f"{one.shown / one.seconds:.1f} | {one.age(0.5) * 1e3:.0f} | {late:.0f} | {seen:.3f}")
+            met += [name] * (late <= goal(trip))
+        by = ", ".join(met) or "none"
+        yield f"| {rate} | {trip} | {loss} % | {' | '.join(cells)} | {goal(trip):.0f} | {by} |"

@@ -109,12 +109,7 @@ def main() -> None:
     command = [sys.executable, "-m", "apps.cli", "serve", "--port", "0", "--json", "--room", "lab:64"]
     with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
         print('max-clients = 64\nwatermark = "off"', file=file, flush=True)
-        measured([*command, "--config", file.name], args)
-
-
-def measured(command: list[str], args: argparse.Namespace) -> None:
-    """Print a row for each number of people and rate in the room of a server."""
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        server = subprocess.Popen([*command, "--config", file.name], stdout=subprocess.PIPE, text=True)
         try:
             assert server.stdout is not None
             told = json.loads(server.stdout.readline())
@@ -127,6 +122,7 @@ def measured(command: list[str], args: argparse.Namespace) -> None:
                 time.sleep(3)  # until the room has forgotten them
         finally:
             server.terminate()
+            server.wait()
 
 
 if __name__ == "__main__":

@@ -76,17 +76,17 @@ class Fixed:
 
 
 class Oracle(Fixed):
-    """Control that knows the current rate (and uses ``part`` of it) and the size of the next picture."""
+    """Control that knows the current rate and the size of the next picture."""
 
     window = 8
 
-    def __init__(self, link: Link, part: float = 1.0, use: float = 0.93) -> None:
-        self._link, self._part, self._use = link, part, use
+    def __init__(self, link: Link) -> None:
+        self._link = link
         self._free, self._own, self._begun, self._least = 0.0, 0.0, 0.0, 0.0
 
     def rung(self, number: int, pixels: int, quality: int, crop: bool, now: float) -> Rung:
         rungs = ladder(quality, crop)
-        spend = self._use * self._part * self._link.rate(now) * 1e6
+        spend = 0.93 * self._link.rate(now) * 1e6
         for rung in rungs:
             calm = 0.0 if rung.full or visible_loss(rung) <= MAX_SMOOTH_LPIPS else 1 / REDUCED_FPS
             self._least = max(draw_time(rung.scale), calm)
@@ -96,7 +96,7 @@ class Oracle(Fixed):
         return rung
 
     def written(self, number: int, nbytes: int, now: float) -> None:
-        self._own = 8 * nbytes / (self._part * self._link.rate(now) * 1e6)
+        self._own = 8 * nbytes / (self._link.rate(now) * 1e6)
         self._free = max(self._free, now) + self._own
 
     def rest(self, now: float) -> float:

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from glsplat.extras.browser.web_format.write import encode_avatar
 from glsplat.formats.motion_files import load_motion
 from glsplat.io.files import replace_file
 from glsplat.io.provenance import machine
+from glsplat.motion.motion import Motion
 from glsplat.net.codec.encode import encode_picture
 from glsplat.net.pages import page_files
 from glsplat.views import view_of
@@ -89,31 +90,19 @@ def write_site(folder: Path) -> None:
         (folder / "npm").symlink_to("node_modules")
 
 
-class Own:
-    """glsplat's own renderer: draws, reads back and encodes walking frames, as ``serve`` with ``exact``."""
-
-    def __init__(self, side: int, distance: float, height: float) -> None:
-        self._avatar = glsplat.default_avatar()
-        self._walk = load_motion("walk", self._avatar.skeleton)
-        self._renderer = glsplat.Renderer(self._avatar, size=(side, side), views=2)
-        self._side, self._distance, self._height = side, distance, height
-
-    def run(self, frames: int, first: int, of: int) -> list[float]:
-        """Return the ms of each frame."""
-        found = []
-        for frame in range(first, first + frames):
-            angle = 2 * np.pi * frame / of
-            eye = np.array([self._distance * np.sin(angle), self._height, self._distance * np.cos(angle)])
-            target = np.array([0, self._height - 0.1, 0])
-            pair = list(view_of(eye, target, (self._side, self._side), 50.0, ipd=0.063))
-            begun = time.perf_counter()
-            for image in self._renderer.render(pair, self._walk.pose(frame % len(self._walk))):
-                encode_picture(image)
-            found.append(1e3 * (time.perf_counter() - begun))
-        return found
-
-    def close(self) -> None:
-        self._renderer.release()
+def own_ms(renderer: glsplat.Renderer, walk: Motion, view: tuple[float, float], frames: Iterable[int]) -> list[float]:
+    """Return the ms in which glsplat's own renderer draws, reads back and encodes each frame, as ``serve --exact``."""
+    found = []
+    distance, height = view
+    for frame in frames:
+        angle = 2 * np.pi * frame / (ROUNDS * FRAMES)
+        eye = np.array([distance * np.sin(angle), height, distance * np.cos(angle)])
+        pair = list(view_of(eye, np.array([0, height - 0.1, 0]), renderer.size, 50.0, ipd=0.063))
+        begun = time.perf_counter()
+        for image in renderer.render(pair, walk.pose(frame % len(walk))):
+            encode_picture(image)
+        found.append(1e3 * (time.perf_counter() - begun))
+    return found
 
 
 def cpu_seconds() -> float:
@@ -127,8 +116,9 @@ def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple
     distance, height = view
     where = {"distance": distance, "height": height}
     names = page.evaluate("(question) => prepare(question)", {"side": side, **where})
-    own = Own(side, distance, height)
-    own.run(2, 0, ROUNDS * FRAMES)
+    avatar = glsplat.default_avatar()
+    walk, own = load_motion("walk", avatar.skeleton), glsplat.Renderer(avatar, size=(side, side), views=2)
+    own_ms(own, walk, view, range(2))
     walls: dict[str, list[float]] = {name: [] for name in (*names, OWN)}
     used = dict.fromkeys(walls, 0.0)
     for turn in range(ROUNDS):
@@ -136,11 +126,11 @@ def measured(page: Any, side: int, view: tuple[float, float]) -> dict[str, tuple
             question = {"name": name, "frames": FRAMES, "first": turn * FRAMES, "of": ROUNDS * FRAMES, **where}
             before = cpu_seconds()
             if name == OWN:
-                walls[name] += own.run(FRAMES, turn * FRAMES, ROUNDS * FRAMES)
+                walls[name] += own_ms(own, walk, view, range(turn * FRAMES, (turn + 1) * FRAMES))
             else:
                 walls[name] += page.evaluate("(question) => run(question)", question)[1:]
             used[name] += cpu_seconds() - before
-    own.close()
+    own.release()
     return {name: (float(np.median(walls[name])), 1e3 * used[name] / (ROUNDS * FRAMES)) for name in walls}
 
 

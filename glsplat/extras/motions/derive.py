@@ -18,7 +18,7 @@ from glsplat.rotations import (
     vector_quaternions,
 )
 from glsplat.skinning.skeleton import Skeleton
-from glsplat.tracking.mounts import JOINTS
+from glsplat.tracking.calibration import JOINTS
 from glsplat.tracking.sample import BODY_JOINTS, TRACKERS, Sample, Transform
 from glsplat.tracking.solve.body import ANKLES, FEET, HAND_FRAMES, HEAD, HIPS, KNEES, PELVIS, SPINE1, WRISTS, Body
 from glsplat.tracking.solve.quat import Vec

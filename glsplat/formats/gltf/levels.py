@@ -109,13 +109,12 @@ def read_levels(container: Container, graph: Graph, found: list[Instance], scene
         return scene
     if len(ids) > MAX_LEVELS:
         left_out(log, f"{len(ids)} levels of detail, the first {MAX_LEVELS} are read")
-    reading = _Reading(container, graph, shown, scene)
     levels: list[tuple[int, Level[Any]]] = []
     for number, index in enumerate(ids[:MAX_LEVELS], 1):
         try:
             if index in ids[: number - 1]:
                 raise FormatError(f"node {index} is another level already")
-            levels.append((number, reading.level(index)))
+            levels.append((number, _level(container, graph, shown, scene, index)))
         except FormatError as error:
             left_out(log, f"level of detail {number} is left out: {error}")
     return _in_order(scene, levels)
@@ -142,65 +141,63 @@ def _in_order(scene: Scene, levels: list[tuple[int, Level[Any]]]) -> Scene:
     return made
 
 
-class _Reading:
-    """Reads levels of one scene."""
+def _level(container: Container, graph: Graph, shown: Instance, scene: Splats | Avatar, index: int) -> Level[Any]:
+    """Read the level of a node. Raises FormatError, before reading arrays of a node that cannot be a level."""
+    gltf = container.gltf
+    if index < 0:
+        raise FormatError(f"there is no node {index}")
+    node = item(gltf.nodes, index, "node")
+    if index == shown.index:
+        raise FormatError(f"node {index} is the finest itself")
+    primitives = [] if node.mesh is None else item(gltf.meshes, node.mesh, "mesh").primitives
+    if len(primitives) != 1 or EXTENSION not in primitives[0].extensions:
+        raise FormatError(f"node {index} needs a mesh with one primitive of splats ({EXTENSION})")
+    ours = our_extras(node.extras)
+    density = number_of(ours.get("density"))
+    if density is None or density <= 0:
+        raise FormatError("it has no density (pixels a metre, in the node's extras.glsplat)")
+    primitive, name = primitives[0], f"mesh {node.mesh} primitive 0"
+    most = len(splats_of(scene))
+    if "POSITION" not in primitive.attributes:
+        raise FormatError(f"{name}: splats need the attribute POSITION")
+    count = item(gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
+    if not 0 < count < most:
+        raise FormatError(f"{count} splats, the finest has {most}")
+    above, world, parents = int(graph.parents[shown.index]), graph.world, graph.parents
+    # without a parent it hangs from that of the finest
+    matrix = world[index] if parents[index] >= 0 or above < 0 else world[above] @ world[index]
+    instance = Instance(primitive, node, matrix, name, index)
+    return Level(_content(container, graph, shown, scene, instance, ours), density, number_of(ours.get("psnr")))
 
-    def __init__(self, container: Container, graph: Graph, shown: Instance, scene: Splats | Avatar) -> None:
-        self._container, self._graph, self._shown, self._scene = container, graph, shown, scene
 
-    def level(self, index: int) -> Level[Any]:
-        """Read the level of a node. Raises FormatError, before reading arrays of a node that cannot be a level."""
-        gltf = self._container.gltf
-        if index < 0:
-            raise FormatError(f"there is no node {index}")
-        node = item(gltf.nodes, index, "node")
-        if index == self._shown.index:
-            raise FormatError(f"node {index} is the finest itself")
-        primitives = [] if node.mesh is None else item(gltf.meshes, node.mesh, "mesh").primitives
-        if len(primitives) != 1 or EXTENSION not in primitives[0].extensions:
-            raise FormatError(f"node {index} needs a mesh with one primitive of splats ({EXTENSION})")
-        ours = our_extras(node.extras)
-        density = number_of(ours.get("density"))
-        if density is None or density <= 0:
-            raise FormatError("it has no density (pixels a metre, in the node's extras.glsplat)")
-        primitive, name = primitives[0], f"mesh {node.mesh} primitive 0"
-        most = len(splats_of(self._scene))
-        if "POSITION" not in primitive.attributes:
-            raise FormatError(f"{name}: splats need the attribute POSITION")
-        count = item(gltf.accessors, primitive.attributes["POSITION"], "accessor of POSITION").count
-        if not 0 < count < most:
-            raise FormatError(f"{count} splats, the finest has {most}")
-        instance = Instance(primitive, node, self._placed(index), name, index)
-        return Level(self._content(instance, ours), density, number_of(ours.get("psnr")))
-
-    def _placed(self, index: int) -> Any:
-        """Return the global matrix [4, 4] of a level's node; without a parent it hangs from that of the finest."""
-        above = int(self._graph.parents[self._shown.index])
-        world = self._graph.world
-        return world[index] if self._graph.parents[index] >= 0 or above < 0 else world[above] @ world[index]
-
-    def _content(self, instance: Instance, ours: dict[str, Any]) -> Splats | Avatar:
-        rigged = instance.node.skin is not None and "JOINTS_0" in instance.primitive.attributes
-        scene = self._scene
-        if rigged != isinstance(scene, Avatar):
-            raise FormatError("it has a skin, the finest has none" if rigged else "it has no skin, the finest has one")
-        splats = read_splats(self._container, instance.primitive, instance.name)
-        if isinstance(ours.get(ANTIALIAS), bool):
-            splats = replace(splats, antialias=ours[ANTIALIAS])
-        if not isinstance(scene, Avatar):
-            if np.array_equal(instance.matrix, self._shown.matrix):
-                return splats
-            try:
-                with np.errstate(all="ignore"):
-                    placed = np.linalg.solve(self._shown.matrix, instance.matrix).astype(np.float64)
-            except np.linalg.LinAlgError:
-                raise FormatError("the finest has no valid place (a scale of zero?)") from None
-            return transformed(splats, placed)
-        same = instance.node.skin == self._shown.node.skin
-        if not same and not read_skeleton(self._container, instance, self._graph).same(scene.skeleton):
-            raise FormatError("it is bound to another skeleton than the finest")
-        skin = read_skin(self._container, instance, len(scene.skeleton), len(splats), ours.get(SKIN_WEIGHTS))
-        shapes = shapes_of(self._container, instance, len(splats))
-        if shapes is not None and (scene.shapes is None or shapes.names != scene.shapes.names):
-            raise FormatError("its morph targets are not called as those of the finest")
-        return Avatar(splats, scene.skeleton, skin, scene.meta, shapes=shapes)
+def _content(
+    container: Container,
+    graph: Graph,
+    shown: Instance,
+    scene: Splats | Avatar,
+    instance: Instance,
+    ours: dict[str, Any],
+) -> Splats | Avatar:
+    rigged = instance.node.skin is not None and "JOINTS_0" in instance.primitive.attributes
+    if rigged != isinstance(scene, Avatar):
+        raise FormatError("it has a skin, the finest has none" if rigged else "it has no skin, the finest has one")
+    splats = read_splats(container, instance.primitive, instance.name)
+    if isinstance(ours.get(ANTIALIAS), bool):
+        splats = replace(splats, antialias=ours[ANTIALIAS])
+    if not isinstance(scene, Avatar):
+        if np.array_equal(instance.matrix, shown.matrix):
+            return splats
+        try:
+            with np.errstate(all="ignore"):
+                placed = np.linalg.solve(shown.matrix, instance.matrix).astype(np.float64)
+        except np.linalg.LinAlgError:
+            raise FormatError("the finest has no valid place (a scale of zero?)") from None
+        return transformed(splats, placed)
+    same = instance.node.skin == shown.node.skin
+    if not same and not read_skeleton(container, instance, graph).same(scene.skeleton):
+        raise FormatError("it is bound to another skeleton than the finest")
+    skin = read_skin(container, instance, len(scene.skeleton), len(splats), ours.get(SKIN_WEIGHTS))
+    shapes = shapes_of(container, instance, len(splats))
+    if shapes is not None and (scene.shapes is None or shapes.names != scene.shapes.names):
+        raise FormatError("its morph targets are not called as those of the finest")
+    return Avatar(splats, scene.skeleton, skin, scene.meta, shapes=shapes)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import logging
 import struct
-from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -100,7 +99,15 @@ class Output:
         embedded = suffix_of(target) == ".gltf" if embedded is None else embedded
         with naming(target):
             self._check_consent(blob, embedded)
-            replace_file(target, _json(self.gltf, blob) if embedded else _glb(self.gltf, blob))
+            if embedded:
+                self.gltf.buffers[0].uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
+                replace_file(target, [msgspec.json.format(_encode(self.gltf), indent=1)])
+            else:
+                text = _encode(self.gltf)
+                text += b" " * (-len(text) % 4)
+                head = struct.pack("<III", MAGIC, 2, 12 + 8 + len(text) + 8 + len(blob))
+                head += struct.pack("<II", len(text), JSON_CHUNK) + text + struct.pack("<II", len(blob), BINARY_CHUNK)
+                replace_file(target, [head, blob])
 
     def _check_consent(self, blob: bytes, embedded: bool) -> None:
         note = self.gltf.asset.extras["glsplat"] if isinstance(self.gltf.asset.extras, dict) else {}
@@ -114,22 +121,6 @@ class Output:
             why = "it was signed for other content; sign it anew"
             why = "only glsplat.extras.consent, which is not installed, checks it" if record is None else why
             left_out(log, f"the consent is left out: {'only a .glb carries one' if embedded else why}")
-
-
-def _glb(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
-    """Yield the parts of a GLB whose buffer 0 is ``blob`` (a multiple of 4 bytes)."""
-    text = _encode(gltf)
-    text += b" " * (-len(text) % 4)
-    yield struct.pack("<III", MAGIC, 2, 12 + 8 + len(text) + 8 + len(blob))
-    yield struct.pack("<II", len(text), JSON_CHUNK) + text
-    yield struct.pack("<II", len(blob), BINARY_CHUNK)
-    yield blob
-
-
-def _json(gltf: Gltf, blob: bytes) -> Iterable[bytes]:
-    """Yield a .gltf file with the buffer embedded as a data URI."""
-    gltf.buffers[0].uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
-    yield msgspec.json.format(_encode(gltf), indent=1)
 
 
 def _encode(gltf: Gltf) -> bytes:

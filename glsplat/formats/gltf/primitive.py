@@ -21,6 +21,7 @@ from glsplat.formats.gltf.output import Output
 from glsplat.formats.gltf.schema import Primitive
 from glsplat.light.surface import SHADE_ONE, Surface
 from glsplat.optional import missing, plugin
+from glsplat.pictures import to_linear
 from glsplat.splats import SH_C0, Splats, normalised
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -40,6 +41,7 @@ _NORMAL, _OCCLUSION = "_NORMAL", "_OCCLUSION"  # Splats.surface: (x, y, z, 0); (
 _CONE = "_VISIBILITY_CONE"  # Splats.cones
 _CONES_PSNR = "cones_psnr"  # in the primitive's extras.glsplat: Splats.cones_psnr
 _ROTATION_ONE = np.float32(32767)
+_SPACES = ("srgb_rec709_display", "BT.709", "BT.709-sRGB", "BT.709-srgb")
 _SH_NAMES = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
 
 
@@ -67,7 +69,7 @@ def write_splats(out: Output, splats: Splats, *, coarse: bool = False) -> Primit
         attributes=attributes,
         mode=0,
         material=0,
-        extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+        extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": _SPACES[0]}},
         extras=None if splats.cones_psnr is None else {"glsplat": {_CONES_PSNR: splats.cones_psnr}},
     )
 
@@ -82,8 +84,7 @@ def _write_fallback(out: Output, splats: Splats, kind: type[np.uint8 | np.uint16
     colours[:, :3] = splats.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
     colours[:, 3] = splats.opacities
     np.clip(np.nan_to_num(colours, copy=False), 0, 1, out=colours)
-    srgb = colours[:, :3]
-    srgb[...] = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    colours[:, :3] = to_linear(colours[:, :3])
     return out.add(np.rint(colours * np.iinfo(kind).max).astype(kind), "VEC4", normalized=True)
 
 
@@ -98,8 +99,12 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
     """Read the splats of a primitive, untransformed; messages call it ``name``. Raises FormatError."""
     if primitive.mode != 0:
         raise FormatError(f"{name}: splats need a POINTS primitive (mode 0), not mode {primitive.mode}")
-    _check_extension(primitive.extensions[EXTENSION], name)
-    view = packed_view(primitive.extensions[EXTENSION], name)
+    extension = primitive.extensions[EXTENSION]
+    # drafts made the colour space optional, and had other names for it
+    space = extension.get("colorSpace", _SPACES[0]) if isinstance(extension, dict) else _SPACES[0]
+    if space not in _SPACES:
+        raise FormatError(f"{name}: needs colorSpace {_SPACES[0]}, not {str(space)[:40]!r}; convert the colours")
+    view = packed_view(extension, name)
     if view is not None:
         return _packed_splats(container, primitive, view, name)
     attributes = {key.replace(f"{EXTENSION}:", "_", 1): index for key, index in primitive.attributes.items()}
@@ -129,9 +134,13 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
     counts = {len(a) for a in (means, quats, scales, opacities, *sh)}
     if len(counts) > 1:
         raise FormatError(f"{name}: the attributes need one count, found {', '.join(map(str, sorted(counts)))}")
-    if not _written_by_us(container) and _logarithmic(scales):
+    ours = "version" in container.note()
+    if not ours and int((scales < 0).sum()) * 2 > scales.size:  # logarithms, as in drafts
         with np.errstate(over="ignore"):
             scales = np.exp(scales)
+    cones = None
+    if _CONE in attributes:
+        cones = _read_exactly(container, attributes[_CONE], f"{name} {_CONE}", np.int8, len(means))
     return Splats.create(
         means,
         np.roll(quats, 1, axis=1),
@@ -139,7 +148,7 @@ def read_splats(container: Container, primitive: Primitive, name: str) -> Splats
         opacities,
         frozen(np.stack(sh, axis=1)),
         antialias=container.note().get(ANTIALIAS) is True,
-        cones=_cones(container, attributes[_CONE], len(means), name) if _CONE in attributes else None,
+        cones=cones,
         cones_psnr=number_of(our_extras(primitive.extras).get(_CONES_PSNR)),
         surface=_surface(container, attributes, len(means), name),
     )
@@ -165,11 +174,12 @@ def number_of(value: Any) -> float | None:
     return float(value) if usable else None
 
 
-def _cones(container: Container, index: int, count: int, name: str) -> NDArray[np.int8]:
-    raw = container.read(index, f"{name} {_CONE}", ("VEC4",))
-    if raw.dtype != np.int8 or len(raw) != count:
-        raise FormatError(f"{name}: {_CONE} needs {count} elements of signed bytes, not {len(raw)} of {raw.dtype}")
-    return np.ascontiguousarray(raw, np.int8)
+def _read_exactly(container: Container, index: int, what: str, kind: type[np.generic], count: int) -> NDArray[Any]:
+    """Read [count, 4] elements of ``kind``. Raises FormatError for others."""
+    raw = container.read(index, what, ("VEC4",))
+    if raw.dtype != kind or len(raw) != count:
+        raise FormatError(f"{what} needs {count} elements of {np.dtype(kind)}, not {len(raw)} of {raw.dtype}")
+    return np.array(raw, kind)
 
 
 def _surface(container: Container, attributes: dict[str, int], count: int, name: str) -> Surface | None:
@@ -177,31 +187,10 @@ def _surface(container: Container, attributes: dict[str, int], count: int, name:
     said = container.note().get(COLOUR)
     if said not in (_ALBEDO, _SHADED) or not {_NORMAL, _OCCLUSION} <= attributes.keys():
         return None
-    found = []
-    for key, kind in ((_NORMAL, np.int8), (_OCCLUSION, np.uint8)):
-        raw = container.read(attributes[key], f"{name} {key}", ("VEC4",))
-        if raw.dtype != kind or len(raw) != count:
-            wanted = np.dtype(kind).name
-            raise FormatError(f"{name}: {key} needs {count} elements of {wanted}, not {len(raw)} of {raw.dtype}")
-        found.append(np.array(raw, kind))  # their columns go apart
-    normals, packed = found
+    normals = _read_exactly(container, attributes[_NORMAL], f"{name} {_NORMAL}", np.int8, count)
+    packed = _read_exactly(container, attributes[_OCCLUSION], f"{name} {_OCCLUSION}", np.uint8, count)
     shade = None if said == _ALBEDO or (packed[:, 1:] == SHADE_ONE).all() else packed[:, 1:]
     return Surface(normals[:, :3], packed[:, 0], shade)
-
-
-def _logarithmic(scales: NDArray[np.float32]) -> bool:
-    return len(scales) > 0 and int((scales < 0).sum()) * 2 > scales.size
-
-
-def _check_extension(value: Any, name: str) -> None:
-    extension = value if isinstance(value, dict) else {}
-    space = extension.get("colorSpace", "srgb_rec709_display")  # drafts made it optional, and had other names for it
-    if space not in ("srgb_rec709_display", "BT.709", "BT.709-sRGB", "BT.709-srgb"):
-        raise FormatError(f"{name}: needs colorSpace srgb_rec709_display, not {str(space)[:40]!r}; convert the colours")
-
-
-def _written_by_us(container: Container) -> bool:
-    return "version" in container.note()
 
 
 def packed_view(extension: Any, name: str) -> int | None:

@@ -15,6 +15,7 @@ from glsplat.arrays import frozen
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.format import Format, Opened
+from glsplat.formats.gltf import rig
 from glsplat.formats.gltf.container import Container, read_container
 from glsplat.formats.gltf.levels import finest_of, read_levels, write_levels
 from glsplat.formats.gltf.morphs import QUANTIZATION, shapes_of, write_shapes
@@ -29,14 +30,6 @@ from glsplat.formats.gltf.primitive import (
     packed_view,
     read_splats,
     write_splats,
-)
-from glsplat.formats.gltf.rig import (
-    SKIN_WEIGHTS,
-    read_skeleton,
-    read_skin,
-    weights_note,
-    write_influences,
-    write_skeleton,
 )
 from glsplat.formats.gltf.schema import Gltf, Mesh, Node, Scene
 from glsplat.formats.transform import transformed
@@ -92,10 +85,10 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
     if isinstance(scene, Avatar):
         if scene.shapes is not None:
             write_shapes(out, scene.shapes, gltf.meshes[0], primitive)
-        write_influences(out, scene.skin, len(scene.skeleton), primitive.attributes)
-        write_skeleton(out, scene.skeleton)
+        rig.write_influences(out, scene.skin, len(scene.skeleton), primitive.attributes)
+        rig.write_skeleton(out, scene.skeleton)
         note |= dict(scene.meta)
-        note |= weights_note(scene.skin)
+        note |= rig.weights_note(scene.skin)
     note.pop(ANTIALIAS, None)  # the splats decide, whatever an avatar's metadata says
     note.pop(COLOUR, None)
     if splats.antialias:
@@ -109,12 +102,6 @@ def save_gltf(scene: Splats | Avatar, target: Source, *, embedded: bool | None =
 
 def splats_in(container: Container) -> Splats | Avatar:
     """Return the splats of a parsed file, as ``read_gltf`` does; repairs are logged or, if strict, refused."""
-    scene = _scene(container)
-    container.warn()
-    return scene
-
-
-def _scene(container: Container) -> Splats | Avatar:
     gltf = container.gltf
     unknown = [name for name in gltf.extensions_required if name not in _KNOWN]
     if unknown:
@@ -125,19 +112,22 @@ def _scene(container: Container) -> Splats | Avatar:
         hint = "" if plugin("rigs.rows") else "; triangles are read by glsplat.extras.rigs, which is not installed"
         raise FormatError(f"a glTF file, but none of its meshes has splats (a POINTS primitive with {EXTENSION}){hint}")
     skinned = [i for i in found if i.node.skin is not None and "JOINTS_0" in i.primitive.attributes]
-    if skinned:
-        if len(found) > 1:
-            raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
+    if not skinned:
+        scene: Splats | Avatar = _merged(container, graph, found)
+    elif len(found) > 1:
+        raise FormatError(f"an avatar has one splat primitive with a skin, found {len(found)} splat primitives")
+    else:
         splats = read_splats(container, skinned[0].primitive, skinned[0].name)
-        skeleton = read_skeleton(container, skinned[0], graph)
+        skeleton = rig.read_skeleton(container, skinned[0], graph)
         note = container.note()
         note.pop(ANTIALIAS, None)
         note.pop(COLOUR, None)
-        stored = note.pop(SKIN_WEIGHTS, None)
-        skin = read_skin(container, skinned[0], len(skeleton), len(splats), stored)
+        stored = note.pop(rig.SKIN_WEIGHTS, None)
+        skin = rig.read_skin(container, skinned[0], len(skeleton), len(splats), stored)
         shapes = shapes_of(container, skinned[0], len(splats))
-        return read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note, shapes=shapes))
-    return _merged(container, graph, found)
+        scene = read_levels(container, graph, skinned, Avatar(splats, skeleton, skin, note, shapes=shapes))
+    container.warn()
+    return scene
 
 
 def _merged(container: Container, graph: Graph, found: list[Instance]) -> Splats:

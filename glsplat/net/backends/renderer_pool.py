@@ -15,7 +15,7 @@ from glsplat.formats.scene_file import SceneFile
 from glsplat.net.backend import RenderJob
 from glsplat.net.backends.scene_renderer import SceneRenderer
 from glsplat.renderer import Renderer
-from glsplat.renderer.lru_cache import LruCache
+from glsplat.renderer.owned import LruCache
 from glsplat.scene import Item, Rigged, Scene, SceneLike, is_rigged
 
 MAX_RENDERERS = 4

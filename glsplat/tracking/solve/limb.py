@@ -5,20 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import cos, radians, sqrt
 
+from glsplat.tracking.solve import quat
 from glsplat.tracking.solve.body import Body
-from glsplat.tracking.solve.quat import (
-    Quat,
-    Vec,
-    between,
-    clamp,
-    conj,
-    cross,
-    dot,
-    from_axes,
-    mul,
-    rotate,
-    unit,
-)
+from glsplat.tracking.solve.quat import Quat, Vec, clamp, mul, unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +29,13 @@ class Limb:
         along = body.direction(a, b)
         axis = perpendicular(hinge, along)
         nearest = sqrt(upper**2 + lower**2 + 2 * upper * lower * cos(radians(flexion)))
-        frame = conj(from_axes(along, axis, cross(along, axis)))
+        frame = quat.conj(quat.from_axes(along, axis, quat.cross(along, axis)))
         return cls(upper, lower, nearest, (upper + lower) * reach, body.direction(b, c), frame)
 
 
 def perpendicular(v: Vec, axis: Vec) -> Vec:
     """Return the unit vector of the part of v perpendicular to the unit vector ``axis``."""
-    s = dot(v, axis)
+    s = quat.dot(v, axis)
     return unit((v[0] - s * axis[0], v[1] - s * axis[1], v[2] - s * axis[2]), (0.0, 0.0, 1.0))
 
 
@@ -72,6 +61,6 @@ def two_bone(limb: Limb, root: Vec, end: Vec, pole: Vec) -> tuple[Quat, Quat, Ve
     upper_dir = (ux * a + px * b, uy * a + py * b, uz * a + pz * b)
     lower_dir = (ux * c + px * d, uy * c + py * d, uz * c + pz * d)
     hinge = (py * uz - pz * uy, pz * ux - px * uz, px * uy - py * ux)  # pole x limb: the lower bone turns about it
-    world = mul(from_axes(upper_dir, hinge, cross(upper_dir, hinge)), limb.frame)
-    bend = between(limb.lower_dir, rotate(conj(world), lower_dir))
+    world = mul(quat.from_axes(upper_dir, hinge, quat.cross(upper_dir, hinge)), limb.frame)
+    bend = quat.between(limb.lower_dir, quat.rotate(quat.conj(world), lower_dir))
     return world, bend, lower_dir

@@ -24,20 +24,7 @@ from math import atan2, cos, degrees, hypot, pi, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.tracking.solve.body import (
-    ANKLES,
-    COLLARS,
-    ELBOWS,
-    HEAD,
-    HIPS,
-    KNEES,
-    NECK,
-    SHOULDERS,
-    SPINE1,
-    SPINE2,
-    SPINE3,
-    WRISTS,
-)
+from glsplat.tracking.solve import body
 from glsplat.tracking.solve.quat import Quat, clamp, conj, mul, rotation_vector, to_quat
 
 Box = tuple[float, float, float, float, float, float]
@@ -64,18 +51,18 @@ _KNEE = _box((-6, 148), (-15, 15), (-12, 12))
 _ANKLE = _box((-42, 64), (-30, 30), (-36, 36))  # dorsiflexion about -x
 
 BOXES: dict[int, Box] = {
-    **{joint: _SPINE for joint in (SPINE1, SPINE2, SPINE3)},
-    NECK: _NECK,
-    HEAD: _HEAD,
+    **{joint: _SPINE for joint in (body.SPINE1, body.SPINE2, body.SPINE3)},
+    body.NECK: _NECK,
+    body.HEAD: _HEAD,
     **{
         pair[i]: box if i == 0 else _mirror(box)
         for pair, box in (
-            (COLLARS, _COLLAR),
-            (ELBOWS, _ELBOW),
-            (WRISTS, _WRIST),
-            (HIPS, _HIP),
-            (KNEES, _KNEE),
-            (ANKLES, _ANKLE),
+            (body.COLLARS, _COLLAR),
+            (body.ELBOWS, _ELBOW),
+            (body.WRISTS, _WRIST),
+            (body.HIPS, _HIP),
+            (body.KNEES, _KNEE),
+            (body.ANKLES, _ANKLE),
         )
         for i in (0, 1)
     },
@@ -83,7 +70,7 @@ BOXES: dict[int, Box] = {
 """Bounds of the rotation vector (x, y, z lows, then highs; radians). Hips, elbows, wrists: of swing, and twist along
 the bone (see ``TWIST``)."""
 
-TWIST = {**{j: 1 for j in HIPS}, **{j: 0 for j in (*ELBOWS, *WRISTS)}}
+TWIST = {**{j: 1 for j in body.HIPS}, **{j: 0 for j in (*body.ELBOWS, *body.WRISTS)}}
 """Axis (0 x, 1 y) along the bone of the joints whose rotation is taken apart into swing and twist."""
 
 # shoulder, left: how far the arm may swing from the T-pose, by the direction of the swing: 0 forward, 90 up, 180 back,
@@ -119,8 +106,8 @@ def clamp_box(q: Quat, box: tuple[float, ...]) -> Quat:
 
 def clamp_joint(joint: int, q: Quat) -> Quat:
     """Return the rotation of a body joint limited to its range; the same object where it is inside."""
-    if joint in SHOULDERS:
-        return _shoulder(q, 1.0 if joint == SHOULDERS[0] else -1.0)
+    if joint in body.SHOULDERS:
+        return _shoulder(q, 1.0 if joint == body.SHOULDERS[0] else -1.0)
     safe = _SAFE.get(joint)
     if safe is None or abs(q[0]) >= safe:
         return q

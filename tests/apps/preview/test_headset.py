@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from apps.args import open_scene
-from apps.preview import command, headset, headset_options
+from apps.preview import command, headset
 from apps.preview.feed import Feed
 from apps.preview.headset_feed import FeedShow
 from glsplat.errors import ContextError
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.gl
 
 
 def test_the_views_of_the_option_are_those_of_the_extra() -> None:
-    assert headset_options.VIEWS == placing.VIEWS
+    assert command.VIEWS == placing.VIEWS
 
 
 def worn(*words: str, frames: int = 4, **made: Any) -> FakeRuntime:
@@ -50,7 +50,7 @@ def worn(*words: str, frames: int = 4, **made: Any) -> FakeRuntime:
         return found[-1]
 
     args = parsed(command, "--xr", *words)
-    headset_options.check(args)
+    command.check_headset(args)
     assert headset.run(args, open_scene(args), frames, connect) == 0  # type: ignore[arg-type]
     return found[-1]
 

@@ -14,7 +14,7 @@ from glsplat.camera import Camera, stereo_cameras
 from glsplat.errors import GlsplatError
 from glsplat.extras.watermark.mark import Watermark, marked
 from glsplat.extras.watermark.pattern import TILE
-from glsplat.renderer import Renderer, resolve
+from glsplat.renderer import Renderer
 from tests.scenes import cloud
 
 Make = Callable[..., Renderer]
@@ -82,7 +82,7 @@ def test_a_mark_is_for_bytes(renderer_of: Make) -> None:
 
 @pytest.mark.gl
 def test_tiles_are_kept_and_let_go(renderer_of: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resolve, "MAX_TEXTURES", 2)
+    monkeypatch.setattr("glsplat.renderer.renderer.MAX_TEXTURES", 2)
     renderer, views = renderer_of(cloud(5), size=(150, 100), views=2, output="uint8"), pair()
     renderer.render(views)
     before = renderer.nbytes()["targets"]
