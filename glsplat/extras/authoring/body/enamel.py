@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-F64 = NDArray[np.float64]
+from glsplat.arrays import F64
+
 Indices = NDArray[np.intp]
 
 MAX_CROWN_M = 0.0095

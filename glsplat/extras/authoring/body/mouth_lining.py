@@ -11,11 +11,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from glsplat.arrays import frozen
+from glsplat.arrays import F64, frozen
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.open_face import open_face
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _MOUTH_CENTRE_M = (0.0, 0.82, 0.10)  # a point within the open body's mouth

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from glsplat.arrays import frozen
+from glsplat.arrays import F64, frozen
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.enamel import paint_teeth
 from glsplat.extras.authoring.body.open_body import Body, open_body
@@ -21,7 +21,6 @@ from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Offsets = Mapping[str, tuple[Indices, F64]]
 

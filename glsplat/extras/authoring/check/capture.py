@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32, F64
 from glsplat.extras.authoring.check.finding import Finding, note
 from glsplat.extras.authoring.check.posture import LYING, arms, cut_off, lying, turned
 from glsplat.extras.authoring.check.sharpness import blur_of
@@ -71,9 +72,7 @@ class Capture:
 
 
 def check_capture(
-    picture: NDArray[np.uint8],
-    view: str | None = "front",
-    known_mask: NDArray[np.bool_] | None = None,
+    picture: NDArray[np.uint8], view: str | None = "front", known_mask: NDArray[np.bool_] | None = None
 ) -> Capture:
     """Check a picture (RGB uint8 [H, W, 3]) of one of SIDES. Without a person the check ends after that finding.
 
@@ -115,7 +114,7 @@ def check_capture(
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
 
 
-def _nobody(picture: NDArray[np.uint8], person: DetectedPerson | None, people: NDArray[np.float32]) -> Finding:
+def _nobody(picture: NDArray[np.uint8], person: DetectedPerson | None, people: F32) -> Finding:
     """Return the finding if no whole, upright person is found: a group, half a person, a turned picture, or nobody."""
     sure_face = person is not None and person.face.presence > _SURE_FACE_PRESENCE
     if len(_faces(picture, people)) > 1 or (
@@ -137,7 +136,7 @@ def _nobody(picture: NDArray[np.uint8], person: DetectedPerson | None, people: N
     return Finding("nobody", "nobody is found in the picture; show one whole person, upright")
 
 
-def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> list[float]:
+def _faces(picture: NDArray[np.uint8], people: F32) -> list[float]:
     """Return the horizontal positions of visible faces, as fractions of the picture's width.
 
     The body network finds one person and fails on a row of people, so halves and thirds of the row are searched.
@@ -164,7 +163,7 @@ def _body_with_face(picture: NDArray[np.uint8], start: float, end: float) -> Det
     return body
 
 
-def _is_somebody(picture: NDArray[np.uint8], person: DetectedPerson, people: NDArray[np.float32]) -> bool:
+def _is_somebody(picture: NDArray[np.uint8], person: DetectedPerson, people: F32) -> bool:
     """Return whether two networks agree on a person, or a face is sure; each alone has false positives."""
     body = person.body
     own = body.mask > 0.5
@@ -178,7 +177,7 @@ def _is_somebody(picture: NDArray[np.uint8], person: DetectedPerson, people: NDA
     return bool(shared > 0.5 and own.mean() > 0.002 and (sure or inside.mean() > 0.6))
 
 
-def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+def _inside(mask: NDArray[np.bool_], points: F64, reach: float) -> NDArray[np.bool_]:
     """Return whether points [N, 2] lie in the mask or within ``reach`` pixels of it; false outside the picture."""
     distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     column, row = np.floor(points).astype(int).T
@@ -186,7 +185,7 @@ def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) 
     return valid & (distance[row.clip(0, mask.shape[0] - 1), column.clip(0, mask.shape[1] - 1)] <= reach)
 
 
-def _several(picture: NDArray[np.uint8], person: DetectedPerson, people: NDArray[np.float32]) -> Finding | None:
+def _several(picture: NDArray[np.uint8], person: DetectedPerson, people: F32) -> Finding | None:
     """Return the finding of a second person, in the foreground outside the first person's mask.
 
     The network overlooks distant people beside a large one, so the search is repeated with the first person painted
@@ -204,16 +203,13 @@ def _several(picture: NDArray[np.uint8], person: DetectedPerson, people: NDArray
     return _SEVERAL if _faces_beside(without, near, own) else None
 
 
-def _foreground(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _foreground(picture: NDArray[np.uint8], people: F32) -> NDArray[np.bool_]:
     """Return the mask [H, W] of ``people``, the result of ``people_mask``."""
     return enclosing_square(picture).paste(people, picture.shape[:2]) > 0.5
 
 
 def _is_second(
-    picture: NDArray[np.uint8],
-    rest: NDArray[np.bool_],
-    near: NDArray[np.bool_],
-    own: NDArray[np.bool_],
+    picture: NDArray[np.uint8], rest: NDArray[np.bool_], near: NDArray[np.bool_], own: NDArray[np.bool_]
 ) -> bool:
     """Return whether one of the three largest components of ``rest`` is a person mostly outside ``near``."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8))

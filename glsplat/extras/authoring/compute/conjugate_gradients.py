@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-F64 = NDArray[np.float64]
+from glsplat.arrays import F64
 
 
 def conjugate_gradients(matrix: csr_matrix, target: F64, start: F64, rtol: float = 1e-4, max_rounds: int = 300) -> F64:

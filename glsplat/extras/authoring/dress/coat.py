@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed
@@ -18,8 +19,6 @@ from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear
 from glsplat.rotations import component_sums, lengths
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 _SAME_COLOUR_DISTANCE, _SKIN_DISTANCE = 0.15, 0.12  # square roots of linear light, shading left out
 _ROW_M = 0.01

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import hand_weights, trunk_vertices
 from glsplat.extras.authoring.dress.coat import MIN_COVERED_FRACTION, coat_hem, hem_row, leg_gaps
@@ -24,8 +25,6 @@ from glsplat.extras.authoring.fit.view import View
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 _LEGS = ("hip", "knee", "ankle")
 # fractions of the person's height in the picture

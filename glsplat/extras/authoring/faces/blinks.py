@@ -6,15 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import Opening
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
-
-F64 = NDArray[np.float64]
 
 BLINK_SHAPES = ("eyeBlinkLeft", "eyeBlinkRight")
 EYEBALL_RETREAT_M = np.array([0.0, 0.0, -0.003])

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
-
-F64 = NDArray[np.float64]
 
 _MIN_VERTICES = 16  # of an eye
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
@@ -20,7 +21,6 @@ from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _UPPER_LASHES, _LOWER_LASHES = 34, 18

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.extras.authoring.faces.openings import LidEdges, Opening
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.splats import SH_C0, Splats
-
-F64 = NDArray[np.float64]
 
 _SEARCH_RADIUS_M, _MIN_GAP_RAD = 0.034, np.radians(8)  # around an eye's middle; beyond its opening
 _FALLOFF_RAD = np.radians(20)  # of a sample's weight, beyond the opening

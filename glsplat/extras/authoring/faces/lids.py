@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from trimesh.triangles import points_to_barycentric
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES, blink_shape_of
@@ -37,7 +38,6 @@ from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import SH_C0, Splats
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
 _SAMPLER = SamplerConfig(samples=16, candidates=5, rounds=6, probe=0)  # nothing hides a lid

@@ -24,8 +24,6 @@ from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
 
-F64 = NDArray[np.float64]
-
 _SAMPLER = SamplerConfig(samples=24, candidates=8, rounds=8, probe=0, color_weight=1.2)
 _MIN_NORMAL_Z = -0.15  # surface facing farther back is never visible
 _TONGUE_OUT, _MIN_TONGUE_MOVE_M = "tongueOut", 0.006

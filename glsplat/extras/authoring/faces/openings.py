@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.faces.eyeballs import Eyeball
 from glsplat.meshes import RiggedMesh
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _SIDES_RAD = np.radians(np.linspace(-62, 62, 63))  # ray directions, to the left ...

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.enamel import (
     ARCH_XZ_M,
     MAX_CROWN_M,
@@ -16,7 +17,6 @@ from glsplat.extras.authoring.body.enamel import (
     tooth_of_faces,
 )
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 # angles from the front up to which a tooth has this many tiles across and along it: molars are hardly visible

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.body.segments import arm_layers
@@ -36,8 +37,6 @@ from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 MAX_FIGURE_PX = 480.0
 """Height of the person in the fit's pictures, which are reduced to it."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit, fit_clothes
@@ -18,8 +18,6 @@ from glsplat.extras.authoring.fit.kinematics import fully_posed
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import DetectedPerson
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 _FINGER_JOINTS = {
     side: [k for k, name in enumerate(JOINT_NAMES) if name.startswith(f"{side}_") and name[-1] in "123"]

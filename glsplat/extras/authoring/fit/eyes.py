@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.networks.eye import EyeLook, read_eye
 from glsplat.extras.authoring.networks.face import Face, eye_of
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 EYE_SIDES = ("left", "right")
 

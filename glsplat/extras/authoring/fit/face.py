@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
@@ -27,7 +28,6 @@ from glsplat.extras.authoring.networks.face import Face
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _TURNED_JOINTS = ("neck", "head")

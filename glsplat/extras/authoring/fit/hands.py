@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
@@ -20,7 +21,6 @@ from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.solve.limits import BOXES, FINGER_HIGH, FINGER_LOW
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _FINGERS = ("index", "middle", "ring", "pinky")

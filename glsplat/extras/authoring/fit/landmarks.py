@@ -10,10 +10,9 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body, Points
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 LANDMARK_COUNT = 33
 """Number of the network's landmarks."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.fit.kinematics import Hinges
 from glsplat.extras.authoring.fit.standing.arms import ArmMixture
-
-F64 = NDArray[np.float64]
 
 # joint without its side -> axis, mean and standard deviation in radians, for the left side. The mean is a relaxed
 # A-pose: upper arms some forty degrees below the horizontal, elbows and hips not quite straight.

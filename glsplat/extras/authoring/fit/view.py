@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import own
+from glsplat.arrays import F64, own
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.extras.authoring.networks.people import SIDES, degrees_between
-
-F64 = NDArray[np.float64]
 
 _MIN_FIGURE_PX = 64
 

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.light.surface import Surface
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _MAX_SOURCES = 4  # finer splats averaged into a coarser one's surface
 

@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.nearest import NearestPoints, nearest_on
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
@@ -15,8 +16,6 @@ from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _MIN_MOVE_M = 1e-4  # entries that move less are dropped, unless they bend
 _MIN_BEND = 0.03  # change of a unit axis

@@ -9,10 +9,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths
-
-F64 = NDArray[np.float64]
 
 _CANDIDATES = 8  # triangles tested for each point
 

@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F32, F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, item, parse
@@ -110,7 +110,7 @@ def _checked_members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
 class _Mesh:
     """The skinned vertices that splats are attached to."""
 
-    vertices: NDArray[np.float64]
+    vertices: F64
     skeleton: Skeleton
     skin: Skin
     morphs: Morphs
@@ -187,7 +187,7 @@ def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
     return mesh, instance
 
 
-def _check_offsets(offsets: NDArray[np.float32], rgb: NDArray[np.float64], vertices: NDArray[np.float64]) -> None:
+def _check_offsets(offsets: F32, rgb: F64, vertices: F64) -> None:
     if rgb.min() < -0.02 or rgb.max() > 1.02:
         raise FormatError(
             f"offset.ply needs RGB in [0, 1] in f_dc, as LAM writes it, found {rgb.min():.2f} to {rgb.max():.2f}; "

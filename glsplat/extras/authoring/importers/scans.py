@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs
 from glsplat.extras.authoring.geometry.nearest import nearest_weights
@@ -52,7 +53,7 @@ def read_obj_person(path: str | Path, body: RiggedMesh) -> RiggedMesh:
     return RiggedMesh(at, fitted.skeleton, joints, weights, (part,), {"source": source.name}, morphs)
 
 
-def _scaled_body(body: RiggedMesh, low: NDArray[np.float64], high: NDArray[np.float64]) -> RiggedMesh:
+def _scaled_body(body: RiggedMesh, low: F64, high: F64) -> RiggedMesh:
     """Return the body with its feet at the origin, of the scan's height if that is in metres, else of its own."""
     own = body.vertices
     height = high[1] - low[1]

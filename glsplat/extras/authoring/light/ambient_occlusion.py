@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.visibility import sphere
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import component_sums
-
-F64 = NDArray[np.float64]
 
 _DIRECTIONS = 48
 _CAMERA_DISTANCE_M = 60.0  # nearly parallel rays

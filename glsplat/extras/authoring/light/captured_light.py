@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
@@ -28,8 +28,6 @@ from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import strongest_joint
-
-F64 = NDArray[np.float64]
 
 # of the lamp's direction (tangents) and log strength; wide, since faces may be lit from the side
 _LAMP_SIGMAS = 1.5, 0.7

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, csr_matrix, diags
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.segments import HANDS
 from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
 from glsplat.extras.authoring.geometry.visibility import HEAD
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.skin import strongest_joint
-
-F64 = NDArray[np.float64]
 
 _CLOTH_SMOOTHING_M, _NECK_SMOOTHING_M, _BARE_SMOOTHING_M = 0.03, 0.01, 0.002  # bare: faces and hands
 _MAX_COTANGENT = 20.0

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.visibility import probe_poses
 from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
@@ -17,8 +18,6 @@ from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.rotations import signed_axes, unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _POINT_SPACING_M, _MAX_POINTS = 0.004, 64  # on triangles; points of one triangle
 _CANDIDATES = 12  # nearest points, of which the open and parallel ones are preferred

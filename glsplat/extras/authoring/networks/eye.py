@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .network import Crop, network
+from glsplat.arrays import F64
 
-F64 = NDArray[np.float64]
+from .network import Crop, network
 
 _INPUT_PX = 64  # side of the network's input
 _CROP_FACTOR = 2.3  # side of the crop in widths of the eye
@@ -26,9 +26,9 @@ _SHADED_PERCENT = 60  # of the white, by lids and lashes
 class Eye:
     """The iris network's result for one eye, in pixels of the picture."""
 
-    iris: NDArray[np.float64]
+    iris: F64
     """[5, 2] the centre, then four points on the rim."""
-    lids: NDArray[np.float64]
+    lids: F64
     """[71, 2] the eye's outline (first 16) and brow."""
     crop: Crop
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
+
 from .eye import Eye, find_eye, read_eye
 from .network import Crop, network, sigmoid
 from .person import DetectedBody
@@ -25,7 +27,7 @@ _EYE_CORNERS = {"right": (33, 133), "left": (263, 362)}  # outer and inner corne
 class Face:
     """The face network's result for one face."""
 
-    points: NDArray[np.float64]
+    points: F64
     """[468, 3] of MediaPipe's face mesh: pixels of the picture (first pixel's centre at 0.5), and depth on the
     same scale, away from the camera, zero near the face's middle."""
     presence: float
@@ -91,7 +93,7 @@ def eye_of(picture: NDArray[np.uint8], face: Face, side: str) -> Eye:
     return find_eye(picture, face.points[list(_EYE_CORNERS[side]), :2], face.crop.turn)
 
 
-def _landmarks(picture: NDArray[np.uint8], crop: Crop) -> tuple[NDArray[np.float64], float]:
+def _landmarks(picture: NDArray[np.uint8], crop: Crop) -> tuple[F64, float]:
     """Return landmarks [468, 3] in the crop's input pixels, and the probability that it shows a face."""
     values = sorted(network("face_landmark")(crop.cut(picture, _INPUT_PX)), key=len)  # output names vary by version
     return values[1].reshape(468, 3).astype(np.float64), float(sigmoid(values[0])[0])

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
+
 from .network import Crop, network
 from .person import DetectedBody
 
@@ -25,9 +27,9 @@ _CROP_LANDMARKS = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]  # without the outer
 class Hand:
     """The hand network's result for one hand."""
 
-    points: NDArray[np.float64]
+    points: F64
     """[21, 2] pixels of the picture (first pixel's centre at 0.5), in the order of LANDMARKS."""
-    world: NDArray[np.float64]
+    world: F64
     """[21, 3] metres from a point in the hand; x right, y down, z away from the camera."""
     presence: float
     """Probability that the crop shows a hand."""
@@ -57,6 +59,6 @@ def find_hand(picture: NDArray[np.uint8], body: DetectedBody, side: str) -> Hand
     return Hand(points, turned, float(presence[0]), crop)
 
 
-def _turn(along: NDArray[np.float64]) -> float:
+def _turn(along: F64) -> float:
     """Return the turn in radians of a crop in which the direction ``along`` [2] points up."""
     return float(np.arctan2(along[0], -along[1]))

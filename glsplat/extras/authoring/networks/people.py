@@ -8,13 +8,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32, F64
 from glsplat.extras.authoring.compute.threads import run_in_background
 
 from .face import Face, face_probability, find_face
 from .hand import Hand, find_hand
 from .person import LANDMARKS, DetectedBody, find_body
 
-Degrees = TypeVar("Degrees", float, NDArray[np.float64])
+Degrees = TypeVar("Degrees", float, F64)
 
 SIDES: dict[str, float] = {"front": 0.0, "right": 90.0, "back": 180.0, "left": -90.0}
 """Side of the person that a picture shows -> degrees that they have turned to their own left to show it."""
@@ -51,7 +52,7 @@ class DetectedPerson:
         return float(np.arctan2(across[2], across[0]))
 
 
-def find_person(picture: NDArray[np.uint8], people: NDArray[np.float32] | None = None) -> DetectedPerson | None:
+def find_person(picture: NDArray[np.uint8], people: F32 | None = None) -> DetectedPerson | None:
     """Return the largest person in an RGB picture, or None. ``people`` is ``people_mask(picture)`` if known."""
     body = find_body(picture, people)
     if body is None:

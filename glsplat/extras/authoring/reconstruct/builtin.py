@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
@@ -199,7 +200,7 @@ def _shod(body: Body, fit: BodyFit, shot: FittedPicture) -> tuple[RiggedMesh | N
     return with_shoes(body, bare, shot.mesh, template(footwear.template)), note
 
 
-def _trust(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:
+def _trust(shots: Sequence[FittedPicture]) -> F64:
     return np.asarray(np.max([shot.visibility for shot in shots], axis=0))
 
 
@@ -210,7 +211,7 @@ def _person(picture: Picture, side: str) -> DetectedPerson:
     return person
 
 
-def _arms(person: DetectedPerson) -> NDArray[np.float64]:
+def _arms(person: DetectedPerson) -> F64:
     """Return pixels [2, 24, 2] of shoulders, elbows, wrists and hands, left and right; NaN where not detected."""
     arms = []
     for side, hand in (("left", person.left_hand), ("right", person.right_hand)):

@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32
 from glsplat.extras.authoring.networks.head_parts import HeadPart
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
-
-Float = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -97,14 +96,14 @@ def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConf
 
 def _odds(
     picture: NDArray[np.uint8],
-    soft: Float,
+    soft: F32,
     mask: NDArray[np.bool_],
     band: float,
     window: float,
     ankles: float,
     height: float,
     config: MaskConfig,
-) -> Float:
+) -> F32:
     """Return values [H, W] above zero inside the person; only the band around the mask's outline is re-estimated."""
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
@@ -136,17 +135,17 @@ def _odds(
 class _Colours:
     """Mean and covariance of the colours of ``members`` in a window around each pixel."""
 
-    def __init__(self, colours: Float, members: NDArray[np.bool_], radius: int, noise: float) -> None:
+    def __init__(self, colours: F32, members: NDArray[np.bool_], radius: int, noise: float) -> None:
         weight = members.astype(np.float32)
         side = 2 * max(radius, 2) + 1
 
-        def total(values: Float) -> Float:
+        def total(values: F32) -> F32:
             return np.asarray(
                 cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32
             )
 
         # sums of squares about the mean of all members, to keep float32's precision
-        self._middle: Float = colours[members].mean(axis=0) if members.any() else np.zeros(3, np.float32)
+        self._middle: F32 = colours[members].mean(axis=0) if members.any() else np.zeros(3, np.float32)
         centred = colours - self._middle
         self._count = total(weight)
         self._mean = total(centred * weight[..., None])
@@ -155,14 +154,14 @@ class _Colours:
 
     def at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Local:
         """Return the distributions at N pixels."""
-        count: Float = self._count[rows, columns]
-        safe: Float = np.maximum(count, np.float32(1))
-        mean: Float = self._mean[rows, columns] / safe[:, None]
-        spread: list[Float] = [
+        count: F32 = self._count[rows, columns]
+        safe: F32 = np.maximum(count, np.float32(1))
+        mean: F32 = self._mean[rows, columns] / safe[:, None]
+        spread: list[F32] = [
             product[rows, columns] / safe - mean[:, i] * mean[:, j]
             for product, (i, j) in zip(self._products, _PAIRS, strict=True)
         ]
-        certainty: Float = np.minimum(count / _SURE_COUNT_PX, np.float32(1))
+        certainty: F32 = np.minimum(count / _SURE_COUNT_PX, np.float32(1))
         return _Local(mean + self._middle, spread, certainty, self._noise)
 
 
@@ -170,13 +169,13 @@ class _Colours:
 class _Local:
     """One normal distribution of colours for each of N pixels."""
 
-    mean: Float
-    spread: list[Float]
-    certainty: Float
+    mean: F32
+    spread: list[F32]
+    certainty: F32
     """From 0 to 1, by the number of members in the window."""
     noise: float
 
-    def log_likelihood(self, values: Float, shade: float = 1.0) -> Float:
+    def log_likelihood(self, values: F32, shade: float = 1.0) -> F32:
         """Return the log likelihood [N] of values [N, 3] under colours that are ``shade`` times as bright."""
         extra = np.float32(self.noise**2)
         a, b, c, d, e, f = (np.float32(shade * shade) * s for s in self.spread)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, Body, open_body
@@ -30,8 +29,6 @@ from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
-
-F64 = NDArray[np.float64]
 
 _KEY_VIEWS = 8  # solved jointly
 _DRESSING_ROUNDS = 2  # of posing the views to the dressed body and dressing it again

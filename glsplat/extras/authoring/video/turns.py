@@ -12,12 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.networks.face import find_face
 from glsplat.extras.authoring.networks.hand import find_hand
 from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between, swap_sides
 from glsplat.extras.authoring.networks.person import LANDMARKS
-
-F64 = NDArray[np.float64]
 
 _DIRECTIONS = 72
 _SIGMA_DEG = 15.0  # of the network's error; costs are squared errors in sigmas

@@ -8,11 +8,9 @@ from functools import cached_property, lru_cache
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, unit_vectors
-
-F64 = NDArray[np.float64]
 
 _MIN_BEND_SINE = 0.05  # of an elbow whose axis is determined
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import arm_layers, forearms, hand_weights
@@ -17,8 +18,6 @@ from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
-
-F64 = NDArray[np.float64]
 
 _MAX_FIGURE_PX = 300.0  # height of the person in the depth map
 _MIN_DEPTH_M = 0.01  # of an arm behind the trunk's front

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body
 from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
@@ -20,8 +20,6 @@ from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 MIN_ASIDE_RAD = 0.35
 """Turn of a person who has turned aside; the network's world landmarks underestimate larger turns."""
