@@ -17,7 +17,7 @@ from glsplat.extras.authoring.compute.levenberg import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import derivative_column, fully_posed, projected
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.networks.hand import Hand
+from glsplat.extras.authoring.networks.people import Hand
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.solve.limits import BOXES, FINGER_HIGH, FINGER_LOW
 

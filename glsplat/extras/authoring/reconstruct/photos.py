@@ -13,7 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, one_line
 from glsplat.extras.authoring.check.photos import CheckedPhoto, PhotoSource, check_photos, refuse
 from glsplat.extras.authoring.compute.threads import one_blas_thread
-from glsplat.extras.authoring.segment.mask_file import MaskSource
+from glsplat.extras.authoring.segment.mask import MaskSource
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import CaptureError, FormatError
-from glsplat.extras.authoring.check.capture import check_capture
-from glsplat.extras.authoring.check.sharpness import blur_of
+from glsplat.extras.authoring.check.capture import blur_of, check_capture
 from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.extras.authoring.video.film import MIN_FRAMES, is_video, read_frames

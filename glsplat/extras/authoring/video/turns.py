@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.networks.face import find_face
-from glsplat.extras.authoring.networks.hand import find_hand
-from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between, swap_sides
+from glsplat.extras.authoring.networks.people import DetectedPerson, degrees_between, find_hand, swap_sides
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
 _DIRECTIONS = 72

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F32
 from glsplat.errors import FormatError, one_line
-from glsplat.extras.authoring.networks.unpickle import ListedUnpickler
+from glsplat.extras.authoring.networks.torch_file import ListedUnpickler
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from glsplat.extras.authoring.check.capture import check_capture, is_outline
-from glsplat.extras.authoring.check.sharpness import blur_of
+from glsplat.extras.authoring.check.capture import blur_of, check_capture, is_outline
 from glsplat.extras.authoring.photo.photo_file import read_photo
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.captures import Capture, capture, needs_networks

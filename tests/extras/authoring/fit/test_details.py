@@ -20,9 +20,8 @@ from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES, MEAN
 from glsplat.extras.authoring.fit.view import View, facing
 from glsplat.extras.authoring.networks.face import Face
-from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.extras.authoring.networks.network import Crop
-from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson
+from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson, Hand
 from glsplat.extras.authoring.networks.person import DetectedBody as Readings
 from glsplat.skinning.smplx import JOINT_NAMES
 

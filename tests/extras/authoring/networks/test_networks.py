@@ -7,7 +7,7 @@ import pytest
 
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.geometry.raster import mesh_picture
-from glsplat.extras.authoring.networks import face, hand
+from glsplat.extras.authoring.networks import face, people
 from glsplat.extras.authoring.networks.network import Crop, OnnxNetwork, sigmoid
 from glsplat.extras.authoring.networks.people import find_person
 from glsplat.extras.authoring.networks.person import DetectedBody
@@ -78,11 +78,11 @@ def test_landmarks_lie_where_the_joints_are() -> None:
     for side, read in (("left", found.left_hand), ("right", found.right_hand)):
         assert read.presence > 0.7
         apart = [
-            np.linalg.norm(read.points[hand.LANDMARKS.index(mark)] - true.joint(f"{side}_{joint}"))
+            np.linalg.norm(read.points[people.HAND_LANDMARKS.index(mark)] - true.joint(f"{side}_{joint}"))
             for mark, joint in KNUCKLES.items()
         ]
         assert np.mean(apart) < 0.012 * height
-        size = np.linalg.norm(read.world[0] - read.world[hand.LANDMARKS.index("middle_mcp")])
+        size = np.linalg.norm(read.world[0] - read.world[people.HAND_LANDMARKS.index("middle_mcp")])
         assert 0.06 < size < 0.13  # metres from wrist to knuckle
     assert found.face.presence > 0.9
     eye = face.eye_of(true.picture, found.face, "left")

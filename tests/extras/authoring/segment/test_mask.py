@@ -13,8 +13,7 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.networks.network import Crop
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
 from glsplat.extras.authoring.photo.photo_file import decode_photo
-from glsplat.extras.authoring.segment.mask import MaskConfig, person_mask
-from glsplat.extras.authoring.segment.mask_file import read_mask
+from glsplat.extras.authoring.segment.mask import MaskConfig, person_mask, read_mask
 from tests.extras.authoring.captures import capture, needs_networks
 
 
