@@ -21,11 +21,10 @@ from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, withou
 from glsplat.extras.authoring.finish.levels import MIN_LEVEL_SPLATS, with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.posed import posed_splats
-from glsplat.extras.authoring.importers.bind import bind_to_mesh
+from glsplat.extras.authoring.importers.bind import bind_to_mesh, read_obj_person
 from glsplat.extras.authoring.importers.lam import FOLLOW_MODES, is_lam_zip, load_lam_zip
 from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.extras.authoring.importers.on_smplx import on_smplx
-from glsplat.extras.authoring.importers.scans import read_obj_person
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.mesh_fit import STEPS, fitted_to_mesh
 from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar

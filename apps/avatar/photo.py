@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
@@ -23,13 +24,14 @@ from glsplat.extras.authoring.reconstruct.photos import (
 )
 from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.extras.authoring.reconstruct.registry import named, names
+from glsplat.meshes import RiggedMesh
 from glsplat.optional import require_package
 
 from ..args import natural, positive
 from ..output import save_png
 from ..ray_tasks import add_ray
 from ..usage import UsageError, make_folder
-from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
+from .writing import add_notes, check_name, notes_of, progress_bar, write
 
 _OTHERS = ("back", "left", "right")
 _DEFAULT = Options()
@@ -153,24 +155,25 @@ def _one(args: argparse.Namespace) -> int:
             hint = "" if hopeless else "; --anyway goes on all the same"
             raise CaptureError(f"{error}{hint}", error.findings) from None
         _sheet(args, shots, done)
-        if isinstance(done, MeshReconstruction):
-            code = write_mesh(done.mesh, args, began, _facts(done), _guessed(done.mesh.meta))
-        else:
-            avatar = done.avatar
-            if args.cones:
-                from glsplat.extras.authoring.finish.cones import with_cones
+        made = _content(done)
+        if args.cones and isinstance(made, Avatar):
+            from glsplat.extras.authoring.finish.cones import with_cones
 
-                avatar = with_cones(avatar, progress=show)
-            code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
-            if "hair" in avatar.meta.get("templates", {}) and not head_parts.available():
-                print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
+            made = with_cones(made, progress=show)
+        write(made, args, began, _facts(done), _guessed(made.meta))
+        if "hair" in made.meta.get("templates", {}) and not head_parts.available():
+            print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
     if args.mine:
-        from .mine import sign_mine  # imports the server's key store
+        from .consent import sign_mine  # of another extra
 
         sign_mine(args.out)
     if not args.json:
         _notes(shots, guessed=True)
-    return code
+    return 0
+
+
+def _content(done: Reconstruction | MeshReconstruction) -> Avatar | RiggedMesh:
+    return done.mesh if isinstance(done, MeshReconstruction) else done.avatar
 
 
 def _guessed(meta: Mapping[str, Any]) -> str:
@@ -251,8 +254,7 @@ def _pictures(shots: Mapping[str, CheckedPhoto]) -> list[dict[str, Any]]:
 
 def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
     """Return the command's own facts for --json."""
-    meta = done.mesh.meta if isinstance(done, MeshReconstruction) else done.avatar.meta
-    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": meta.get("unseen")}
+    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": _content(done).meta.get("unseen")}
     facts["pictures"] = _pictures(done.shots)
     if done.made is not None:
         views = done.made.fit.views
@@ -271,6 +273,5 @@ def _sheet(
     if args.debug is not None:
         from . import photo_sheet
 
-        result = done.mesh if isinstance(done, MeshReconstruction) else None if done is None else done.avatar
-        drawn = photo_sheet.draw(shots, result, None if done is None else done.made)
+        drawn = photo_sheet.draw(shots, _content(done), done.made) if done else photo_sheet.draw(shots)
         save_png(args.debug / "photo.png", drawn)

@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
@@ -17,7 +16,7 @@ from glsplat.extras.authoring.video.film import MIN_FRAMES
 
 from ..args import natural, positive, whole
 from .photo import options_of
-from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
+from .writing import add_notes, check_name, notes_of, progress_bar, write
 
 _DEFAULT = Options()
 
@@ -86,16 +85,13 @@ def run(args: argparse.Namespace) -> int:
             hint = "" if args.anyway else "; --anyway goes on all the same, where it can"
             raise CaptureError(f"{error}{hint}", error.findings) from None
     words = f"; {made.unseen:.0%} of the surface is guessed"
-    if isinstance(made.content, Avatar):
-        code = write(made.content, args, began, _facts(made), words)
-    else:
-        code = write_mesh(made.content, args, began, _facts(made), words)
+    write(made.content, args, began, _facts(made), words)
     if not args.json:
         for line in made.left_out:
             print(line)
         if made.problem:
             print(made.problem)
-    return code
+    return 0
 
 
 def _facts(made: VideoResult) -> dict[str, Any]:

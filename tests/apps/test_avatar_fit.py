@@ -15,8 +15,8 @@ from apps.avatar import making as made
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING
 from glsplat.extras.authoring.finish import levels as making
-from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
 from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.finish.levels import FittedConfig
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.formats import load, save
 from glsplat.skinning.pose import Pose

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F64
-from glsplat.extras.authoring.fit.standing.arms import ArmMixture
+from glsplat.extras.authoring.fit.prior import ArmMixture
 from glsplat.rotations import quaternion_matrices
 
 CREDIT = (

@@ -1,4 +1,4 @@
-"""Transfer the open body's expressions, teeth and tongue to people with the same mesh topology."""
+"""Transfer the open body's expressions, teeth and tongue to people with the same topology; find its mouth's lining."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from glsplat.arrays import F64, frozen
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.body.enamel import paint_teeth
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.body.teeth import paint_teeth
+from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import MeshPart, Morphs, RiggedMesh
 from glsplat.skinning.skin import strongest_joint
@@ -23,13 +25,15 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 Indices = NDArray[np.intp]
 Offsets = Mapping[str, tuple[Indices, F64]]
-
 _MAX_UV_DISTANCE = 2e-4  # of the texture's side, between corners of one vertex
 _MIN_MATCHES = 4000  # vertices that a person shares with the open body
 _FOLLOW_DISTANCE_M = 0.03  # brows, lashes and hair nearer than that follow the skin
 _MIN_OFFSET_M = 1e-5
 _MOUTH_BOX_M = ((-0.035, 0.775, 0.08), (0.035, 0.85, 0.175))  # of the open body
 _TONGUE_RGB, _TONGUE_BACK_FACTOR = (158, 84, 80), 0.35  # sRGB of 255 at the tip; brightness at the back
+_MOUTH_CENTRE_M = (0.0, 0.82, 0.10)  # a point within the open body's mouth
+_LIP_WIDTH_M = 0.007  # from the rim
+_LOWER_LIP_FRACTION = 0.5  # of the largest move of the rim as the jaw opens: the lower lip moves farther
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,3 +224,44 @@ def _affine(before: F64, after: F64) -> F64:
     """Return the affine map [3, 4] from points ``before`` [K, 3] to ``after`` [K, 3], by least squares."""
     homogeneous = np.concatenate([before, np.ones((len(before), 1))], axis=1)
     return np.asarray(np.linalg.lstsq(homogeneous, after, rcond=None)[0].T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lining:
+    """The lining and the lips, as vertices of the open body (V)."""
+
+    inside: NDArray[np.bool_]  # [V] the lining with its rim
+    far: F64  # [V] straight distance from the rim, metres
+    lips: NDArray[np.bool_]  # [V] the outer lips
+    upper: Indices  # [K] rim of the upper lip, from the person's right to their left
+    lower: Indices  # [K] rim of the lower lip
+
+
+@lru_cache(maxsize=1)
+def mouth_lining() -> Lining:
+    """Return the lining, an island of MakeHuman's texture layout whose border is the rim. Computed once."""
+    body = open_body()
+    places, corner = np.unique(np.rint(body.uv.reshape(-1, 2) * 1e5), axis=0, return_inverse=True)
+    ends = corner.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2)
+    joined = coo_array((np.ones(len(ends)), ends.T), (len(places), len(places)))
+    _, island = connected_components(joined, directed=False)
+    island_of_face = island[corner.reshape(-1, 3)[:, 0]]
+    islands = [body.faces[island_of_face == number] for number in range(island_of_face.max() + 1)]
+    skin = np.array([body.skin[faces].all() for faces in islands])
+    centres = np.array([body.vertices[faces].reshape(-1, 3).mean(axis=0) for faces in islands])
+    distances = np.linalg.norm(centres - _MOUTH_CENTRE_M, axis=1)
+    lining = island_of_face == np.flatnonzero(skin)[distances[skin].argmin()]
+    inside = np.zeros(len(body.vertices), bool)
+    inside[body.faces[lining]] = True
+    rim = np.intersect1d(body.faces[lining], body.faces[~lining])
+    far, _ = cKDTree(body.vertices[rim]).query(body.vertices)
+    lowered = np.linalg.norm(open_face().expressions.dense("jawOpen", len(body.vertices)), axis=1)[rim]
+    low = lowered > _LOWER_LIP_FRACTION * lowered.max()
+    upper, lower = (lip[np.argsort(body.vertices[lip, 0])] for lip in (rim[~low], rim[low]))
+    return Lining(
+        inside=frozen(inside),
+        far=frozen(far),
+        lips=frozen(~inside & body.skin & (far < _LIP_WIDTH_M)),
+        upper=frozen(upper),
+        lower=frozen(lower),
+    )

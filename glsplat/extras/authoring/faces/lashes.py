@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.faces.eyeballs import Eyeball
-from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
+from glsplat.extras.authoring.faces.eyes import Eyeball, LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.meshes import RiggedMesh

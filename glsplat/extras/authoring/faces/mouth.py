@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.open_face import first_vertices, open_face, with_mouth
+from glsplat.extras.authoring.body.open_face import first_vertices, mouth_lining, open_face, with_mouth
+from glsplat.extras.authoring.body.teeth import ToothTiles, tile_teeth
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.lashes import ExtraSplats, add_splats, axes_along
-from glsplat.extras.authoring.faces.tiles import ToothTiles, tile_teeth
-from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.merge import merge_avatars

@@ -6,12 +6,17 @@ from typing import NamedTuple
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.open_face import first_vertices, with_expressions
-from glsplat.extras.authoring.faces.blinks import blink_shape_of, closing_weight, with_blink
-from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs
+from glsplat.extras.authoring.faces.eyes import (
+    Opening,
+    blink_shape_of,
+    closing_weight,
+    find_openings,
+    fit_eyeballs,
+    with_blink,
+)
 from glsplat.extras.authoring.faces.lashes import LASH_SPLATS, with_lashes
 from glsplat.extras.authoring.faces.lids import with_lids
 from glsplat.extras.authoring.faces.mouth import with_open_lips, with_teeth
-from glsplat.extras.authoring.faces.openings import Opening, find_openings
 from glsplat.meshes import RiggedMesh
 
 FACE_SPLATS = 1_600

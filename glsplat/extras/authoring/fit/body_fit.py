@@ -16,6 +16,14 @@ from glsplat.extras.authoring.body.segments import arm_layers
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import landmarks
+from glsplat.extras.authoring.fit.limbs import (
+    before_trunk,
+    beside_arms,
+    hands,
+    hidden_arms,
+    limb_uncertainty,
+    missing_part,
+)
 from glsplat.extras.authoring.fit.offsets import face_vertices, offset_directions, smooth_offsets, sole_vertices
 from glsplat.extras.authoring.fit.outline import (
     Rim,
@@ -29,9 +37,7 @@ from glsplat.extras.authoring.fit.outline import (
 )
 from glsplat.extras.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hands, hidden_arms
-from glsplat.extras.authoring.fit.standing.stances import MIN_ASIDE_RAD, arm_direction_error, stances_of, trusted_world
-from glsplat.extras.authoring.fit.standing.uncertainty import limb_uncertainty, missing_part
+from glsplat.extras.authoring.fit.stances import MIN_ASIDE_RAD, arm_direction_error, stances_of, trusted_world
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.meshes import RiggedMesh, vertex_normals

@@ -19,7 +19,7 @@ from scipy.spatial.distance import cdist
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
 from glsplat.extras.authoring.fit.kinematics import derivative_column, fully_posed, projected

@@ -8,7 +8,7 @@ from scipy.sparse import diags
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
+from glsplat.extras.authoring.compute.solvers import conjugate_gradients
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit import prior
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import Landmarks

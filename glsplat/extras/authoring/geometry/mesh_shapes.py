@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.nearest import NearestPoints, nearest_on
-from glsplat.extras.authoring.geometry.surface_points import triangle_areas
+from glsplat.extras.authoring.geometry.surface_points import NearestPoints, nearest_on, triangle_areas
 from glsplat.meshes import Morphs, RiggedMesh
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import Shapes, long_axes

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.authoring.importers.bind import bind_to_mesh
-from glsplat.extras.authoring.reconstruct.plugins import Plugins
+from glsplat.extras.authoring.reconstruct.registry import Plugins
 from glsplat.extras.evaluate.comparison.participant import Participant
 from glsplat.formats import all_formats, load_content
 from glsplat.scene import Rigged

@@ -10,9 +10,14 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_face import with_expressions
-from glsplat.extras.authoring.faces.blinks import BLINK_SHAPES, closing_weight, with_blink
-from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs
-from glsplat.extras.authoring.faces.openings import find_openings, lid_edges
+from glsplat.extras.authoring.faces.eyes import (
+    BLINK_SHAPES,
+    closing_weight,
+    find_openings,
+    fit_eyeballs,
+    lid_edges,
+    with_blink,
+)
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose
 from tests.extras.authoring.faces.figures import person

@@ -10,9 +10,8 @@ import pytest
 from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.open_face import with_expressions
-from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs
+from glsplat.extras.authoring.faces.eyes import find_openings, fit_eyeballs, lid_edges
 from glsplat.extras.authoring.faces.lashes import LID_SHADOW_RGB, with_lashes
-from glsplat.extras.authoring.faces.openings import find_openings, lid_edges
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.pose import Pose

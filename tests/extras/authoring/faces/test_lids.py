@@ -9,12 +9,9 @@ import numpy as np
 
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.faces.blinks import EYEBALL_RETREAT_M
-from glsplat.extras.authoring.faces.eyeballs import Eyeball, fit_eyeballs
+from glsplat.extras.authoring.faces.eyes import EYEBALL_RETREAT_M, Eyeball, Opening, fit_eyeballs, lid_edges
 from glsplat.extras.authoring.faces.lashes import LASH_SPLATS, with_lashes
-from glsplat.extras.authoring.faces.lid_colours import lid_colours
-from glsplat.extras.authoring.faces.lids import with_lids
-from glsplat.extras.authoring.faces.openings import Opening, lid_edges
+from glsplat.extras.authoring.faces.lids import lid_colours, with_lids
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats

@@ -11,8 +11,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, fitted_levels, reduced
 from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.finish.levels import FittedConfig, fitted_levels, reduced
 from glsplat.extras.authoring.optimize.target_pictures import TargetPicture, ViewConfig
 from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 from glsplat.splats import Level

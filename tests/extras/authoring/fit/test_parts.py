@@ -8,7 +8,7 @@ import pytest
 
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, open_body
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, Hinges, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT
 from glsplat.extras.authoring.fit.offsets import OFFSET_RANGE_M, smooth_offsets

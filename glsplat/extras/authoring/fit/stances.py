@@ -12,10 +12,9 @@ import numpy as np
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
-from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
-from glsplat.extras.authoring.fit.standing.arms import arm_mixture
+from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior, arm_mixture
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.rotations import unit_vectors
@@ -23,7 +22,6 @@ from glsplat.skinning.smplx import JOINT_NAMES
 
 MIN_ASIDE_RAD = 0.35
 """Turn of a person who has turned aside; the network's world landmarks underestimate larger turns."""
-
 _SIDES = ("left", "right")
 _ARM_JOINTS, _LEG_JOINTS = ("shoulder", "elbow"), ("hip", "knee")
 _LANDMARKS = {
