@@ -11,6 +11,7 @@ from glsplat.arrays import F64
 
 _START_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-9, 1e6
 _MAX_TRIALS = 6  # dampings for one step
+_MAX_ROUNDS = 300  # of conjugate gradients
 
 
 def least_squares(rows: Callable[[F64, bool], tuple[F64, F64]], start: F64, steps: int, tolerance: float = 1e-4) -> F64:
@@ -40,7 +41,7 @@ def least_squares(rows: Callable[[F64, bool], tuple[F64, F64]], start: F64, step
     return x
 
 
-def conjugate_gradients(matrix: csr_matrix, target: F64, start: F64, rtol: float = 1e-4, max_rounds: int = 300) -> F64:
+def conjugate_gradients(matrix: csr_matrix, target: F64, start: F64, rtol: float = 1e-4) -> F64:
     """Return x [V, C] that solves ``matrix`` [V, V] x = ``target`` [V, C] to a residual of ``rtol`` times ``target``.
 
     ``matrix`` is symmetric and positive definite, ``start`` [V, C] a first guess. The method is conjugate gradients
@@ -52,7 +53,7 @@ def conjugate_gradients(matrix: csr_matrix, target: F64, start: F64, rtol: float
     tolerance = rtol * np.sqrt(_dots(target, target))
     scaled = scale * residual
     direction, size = scaled, _dots(residual, scaled)
-    for _ in range(max_rounds):
+    for _ in range(_MAX_ROUNDS):
         if (np.sqrt(_dots(residual, residual)) <= tolerance).all():
             break
         product = matrix @ direction

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.open_face import first_vertices, mouth_lining, open_face, with_mouth
+from glsplat.extras.authoring.body.open_face import mouth_lining, open_face, with_mouth
 from glsplat.extras.authoring.body.teeth import ToothTiles, tile_teeth
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.lashes import ExtraSplats, add_splats, axes_along
@@ -19,7 +19,7 @@ from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
 
@@ -71,14 +71,14 @@ def with_teeth(avatar: Avatar, mesh: RiggedMesh, count: int, photographed: int, 
     """
     lined, inside = _darken_lining(avatar, mesh)
     shaded = _with_lip_shadows(lined, mesh)
-    furnished = with_mouth(mesh, first_vertices(mesh))
-    teeth = next(one for one in furnished.parts if one.name == "teeth")
+    furnished = with_mouth(mesh)
+    teeth = furnished.parts[-1]
     light = _tooth_brightness(avatar, mesh)
-    whole = add_splats(shaded, furnished, _tooth_splats(furnished, teeth, light))
+    whole = add_splats(shaded, furnished, _tooth_splats(furnished, light))
     left = max(count - (len(whole.splats) - len(avatar.splats)), MIN_SPLATS)
     one, other, third = (furnished.vertices[teeth.faces[:, k]] for k in range(3))
     facing = np.cross(other - one, third - one)
-    visible = ~_enamel() & (facing[:, 2] > _MIN_NORMAL_Z * np.linalg.norm(facing, axis=1))
+    visible = ~open_face().tooth & (facing[:, 2] > _MIN_NORMAL_Z * np.linalg.norm(facing, axis=1))
     dimmed = np.rint(teeth.texture * (light, light, light, 1)).astype(np.uint8)
     gums = replace(teeth, faces=teeth.faces[visible], uv=teeth.uv[visible], texture=dimmed)
     made = merge_avatars(whole, make_avatar(replace(furnished, parts=(gums,)), left, seed, _SAMPLER))
@@ -104,25 +104,16 @@ def _match_saturation(avatar: Avatar, some: NDArray[np.integer], photographed: i
     return replace(avatar, splats=replace(avatar.splats, sh=sh))
 
 
-def _enamel() -> NDArray[np.bool_]:
-    """Return [F] which of the faces that ``with_mouth`` adds are teeth."""
-    face = open_face()
-    return face.tooth[face.on_one_jaw]
-
-
 @lru_cache(maxsize=1)
 def _tiles() -> ToothTiles:
     face = open_face()
-    return tile_teeth(face.mouth, face.faces[face.on_one_jaw], face.tooth[face.on_one_jaw], face.lower)
+    return tile_teeth(face.mouth, face.faces, face.tooth, face.lower)
 
 
-def _tooth_splats(furnished: RiggedMesh, teeth: MeshPart, light: float) -> ExtraSplats:
-    """Return the teeth of the mesh as splats, from ``_tiles``."""
-    tiles, first = _tiles(), 0
-    for part in furnished.parts:
-        if part is teeth:
-            break
-        first += len(part.faces)
+def _tooth_splats(furnished: RiggedMesh, light: float) -> ExtraSplats:
+    """Return the teeth of a mesh of ``with_mouth`` as splats, from ``_tiles``."""
+    tiles, teeth = _tiles(), furnished.parts[-1]
+    first = len(furnished.faces) - len(teeth.faces)
     means = np.einsum("nk,nkc->nc", tiles.shares, furnished.vertices[teeth.faces[tiles.faces]])
     scales = np.concatenate([tiles.scales, np.full((len(means), 1), _TOOTH_SIGMA_M)], axis=1)
     means += tiles.facing * np.where(tiles.opacity < 0.9, _TOOTH_SIGMA_M, 0)[:, None]  # seams lie before the teeth

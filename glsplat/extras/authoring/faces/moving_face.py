@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.open_face import first_vertices, with_expressions
+from glsplat.extras.authoring.body.open_face import with_expressions
 from glsplat.extras.authoring.faces.eyes import (
     Opening,
     blink_shape_of,
@@ -37,7 +37,7 @@ def moving_face(mesh: RiggedMesh) -> MovingFace:
 
     Its first vertices are the open body's; it has parts called eyes, mouth and skin.
     """
-    moving = with_open_lips(with_expressions(mesh, first_vertices(mesh)))
+    moving = with_open_lips(with_expressions(mesh))
     eyes = find_openings(mesh, fit_eyeballs(mesh, "eyes"))
     shares = {blink_shape_of(eye.ball): closing_weight(moving, eye) for eye in eyes}
     return MovingFace(with_blink(moving, shares), tuple(eyes))

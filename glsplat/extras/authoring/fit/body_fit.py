@@ -119,7 +119,7 @@ class BodyFit:
     problem: str
 
 
-def fit_body(views: Sequence[View], height: float | None = None, body: Body | None = None) -> BodyFit:
+def fit_body(views: Sequence[View], height: float | None = None) -> BodyFit:
     """Fit the open body to one or more pictures of one person; ``height`` is in metres, if known.
 
     The bare body is fitted to the landmarks, then to the outlines, where distances outside the body weigh little
@@ -136,7 +136,7 @@ def fit_body(views: Sequence[View], height: float | None = None, body: Body | No
     low, high = _HEIGHT_RANGE_M
     if height is not None and not low <= height <= high:
         raise FormatError(f"a height needs metres from {low} to {high}, not {height:g}")
-    body = body or open_body()
+    body = open_body()
     starts = map_threads(lambda stance: _posed_from(stance, views, height, body), stances_of(views[0], body))
     starts.sort(key=lambda start: start.penalty)
     fit, least = _dressed(starts[0], views, body)

@@ -31,9 +31,7 @@ _MOVED_JOINTS = [
 ]
 
 
-def fit_details(
-    fit: BodyFit, views: Sequence[View], people: Sequence[DetectedPerson | None], body: Body | None = None
-) -> BodyFit:
+def fit_details(fit: BodyFit, views: Sequence[View], people: Sequence[DetectedPerson | None]) -> BodyFit:
     """Return the ``fit`` of ``views`` with hands and face fitted to the networks' ``people`` in the same pictures.
 
     Fingers, forearms, neck and head turn; the face's features and the eyes' joints move in ``rest`` and ``joints``;
@@ -42,7 +40,7 @@ def fit_details(
     """
     if not len(fit.views) == len(views) == len(people):
         raise FormatError(f"details need a view and a person each of {len(fit.views)}, not {len(views)}, {len(people)}")
-    body = body or open_body()
+    body = open_body()
     rotations = [fitted.rotations.copy() for fitted in fit.views]
     for side in ("left", "right"):
         _set_hand(body, fit, views, people, side, rotations)

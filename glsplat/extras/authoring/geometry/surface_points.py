@@ -30,7 +30,7 @@ class SurfacePoints:
         return SurfacePoints(self.corners[some], self.weights[some])
 
     def at(self, values: F64) -> F64:
-        """Return vertex values [V, C] interpolated at the points, [M, C]."""
+        """Return vertex values [V] or [V, C] interpolated at the points, [M] or [M, C]."""
         return self.matrix(len(values)) @ values
 
     def matrix(self, count: int) -> csr_array:

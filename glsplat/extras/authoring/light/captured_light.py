@@ -93,7 +93,7 @@ def with_captured_light(
     """
     locations = locate_splats(mesh, avatar.splats, captured.occlusion)
     normals = locations.directions(captured.normals)
-    shade = locations.at(captured.shade[:, None])[:, 0]
+    shade = locations.at(captured.shade)
     if photographed is not None:
         shade[photographed:] = 1.0
     occlusion = open_occlusion(locations.at(captured.occlusion))

@@ -14,11 +14,12 @@ from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.geometry.raster import visible_faces
+from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import probe_poses, sphere
 from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
-from glsplat.rotations import component_sums, signed_axes, unit_vectors
+from glsplat.rotations import component_sums, signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
 
@@ -83,24 +84,8 @@ def _lit_from(mesh: RiggedMesh, vertices: F64, direction: F64, normals: F64) -> 
     return np.asarray(depth[pixel[:, 1], pixel[:, 0]] + _DEPTH_TOLERANCE_M > where[:, 2])
 
 
-class SurfaceLocations:
-    """For each of N splats the corners [N, 3] of its nearest triangle, and its barycentric place on it [N, 3]."""
-
-    def __init__(self, corners: NDArray[np.intp], weights: F64) -> None:
-        self.corners, self.weights = corners, weights
-
-    def at(self, values: F64) -> F64:
-        """Return [N, ...] values [V, ...] of the vertices, interpolated."""
-        flat = values.reshape(len(values), -1)
-        return np.einsum("nk,nkc->nc", self.weights, flat[self.corners]).reshape(-1, *values.shape[1:])
-
-    def directions(self, values: F64) -> F64:
-        """Return [N, 3] unit directions; zero where those of the corners cancel."""
-        return unit_vectors(self.at(values))
-
-
-def locate_splats(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> SurfaceLocations:
-    """Return the location of each splat on the mesh in the zero pose.
+def locate_splats(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> SurfacePoints:
+    """Return the place of each splat on its nearest triangle of the mesh in the zero pose.
 
     Among near layers it prefers those that are open, by the vertices' ``occlusion`` [V], and parallel to the splat.
     """
@@ -137,7 +122,7 @@ def locate_splats(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> SurfaceLo
         + _INSIDE_COST_M * inside[triangle[near]]
     )
     chosen = np.take_along_axis(near, cost.argmin(axis=1)[:, None], axis=1)[:, 0]
-    return SurfaceLocations(faces[triangle[chosen]].astype(np.intp), _project(means, corner[triangle[chosen]]))
+    return SurfacePoints(faces[triangle[chosen]].astype(np.intp), _project(means, corner[triangle[chosen]]))
 
 
 def _nearest_points(points: F64, some: NDArray[np.intp], means: F64) -> tuple[F64, NDArray[np.intp]]:

@@ -12,7 +12,7 @@ from glsplat.arrays import F32, F64
 from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.networks.face import Face, face_probability, find_face
 from glsplat.extras.authoring.networks.network import Crop, network
-from glsplat.extras.authoring.networks.person import LANDMARKS, DetectedBody, find_body
+from glsplat.extras.authoring.networks.person import LANDMARKS, DetectedBody, find_body, people_mask
 
 HAND_LANDMARKS = (
     "wrist thumb_cmc thumb_mcp thumb_ip thumb_tip index_mcp index_pip index_dip index_tip middle_mcp middle_pip "
@@ -100,7 +100,7 @@ class DetectedPerson:
 
 def find_person(picture: NDArray[np.uint8], people: F32 | None = None) -> DetectedPerson | None:
     """Return the largest person in an RGB picture, or None. ``people`` is ``people_mask(picture)`` if known."""
-    body = find_body(picture, people)
+    body = find_body(picture, people_mask(picture) if people is None else people)
     if body is None:
         return None
     mirrored = body.point("left_shoulder")[0] < body.point("right_shoulder")[0]

@@ -59,10 +59,9 @@ def enclosing_square(picture: NDArray[np.uint8]) -> Crop:
     return Crop(width / 2, height / 2, max(height, width))
 
 
-def find_body(picture: NDArray[np.uint8], people: F32 | None = None) -> DetectedBody | None:
-    """Return the person at the largest patch of ``people`` (default: ``people_mask``), or None if there is no patch."""
-    mask = people_mask(picture) if people is None else people
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((mask > 0.5).astype(np.uint8))
+def find_body(picture: NDArray[np.uint8], people: F32) -> DetectedBody | None:
+    """Return the person at the largest patch of ``people`` of ``people_mask``, or None if there is no patch."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((people > 0.5).astype(np.uint8))
     if count < 2:
         return None
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())

@@ -197,14 +197,19 @@ def decode_photo(data: bytes, side: int = MAX_SIDE_PX) -> Photo:
     alpha = None if alpha is None else np.ascontiguousarray(_upright(alpha, orientation))
     size = picture.shape[1], picture.shape[0]
     if max(size) > side:
-        scale = side / max(size)
-        target = max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)
-        picture = np.asarray(cv2.resize(picture, target, interpolation=cv2.INTER_AREA), np.uint8)
-        if alpha is not None:
-            alpha = np.asarray(cv2.resize(alpha, target, interpolation=cv2.INTER_AREA), np.uint8)
-        notes.append(f"{size[0]} x {size[1]} pixels were reduced to {target[0]} x {target[1]}")
+        picture, alpha = reduced(picture, side), None if alpha is None else reduced(alpha, side)
+        notes.append(f"{size[0]} x {size[1]} pixels were reduced to {picture.shape[1]} x {picture.shape[0]}")
     focal = None if focal is None else focal * math.hypot(*picture.shape[:2])
     return Photo(np.ascontiguousarray(picture), focal, size, tuple(notes), alpha)
+
+
+def reduced(picture: NDArray[np.uint8], side: int = MAX_SIDE_PX) -> NDArray[np.uint8]:
+    """Return the picture [H, W] or [H, W, 3] with at most ``side`` pixels a side."""
+    scale = side / max(picture.shape[:2])
+    if scale >= 1:
+        return picture
+    height, width = (max(round(extent * scale), 1) for extent in picture.shape[:2])
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _decode_jpeg(data: bytes, header: _ImageHeader) -> NDArray[np.uint8]:

@@ -166,8 +166,8 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     views = [_view(side, pictures[side], masks[side], people[side]) for side in sides]
     options.progress("fitting the body", 0.15)
     body = open_body()
-    fit = fit_body(views, options.height, body)
-    fit = fit_details(fit, views, [people[side] for side in sides], body)
+    fit = fit_body(views, options.height)
+    fit = fit_details(fit, views, [people[side] for side in sides])
     options.progress("painting", 0.35)
     mesh, seen = dress(body, fit, views, pictures["front"].rgb)
     shots = tuple(

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.body.open_body import BETAS, Body, open_body
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.fit.body_fit import (
     MAX_FIGURE_PX,
     BodyFit,
@@ -47,7 +47,6 @@ def key_views(turns: Sequence[float], count: int = _KEY_VIEWS) -> list[int]:
 def fit_turning(
     views: Sequence[View],
     height: float | None = None,
-    body: Body | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> BodyFit:
     """Fit the open body to pictures of one person in about one pose, with ``turn`` known to some 20 degrees.
@@ -57,7 +56,7 @@ def fit_turning(
     """
     if len(views) < 2:
         raise FormatError("a fit of a turning person needs at least two pictures")
-    body = body or open_body()
+    body = open_body()
     small = [view.smaller(MAX_FIGURE_PX) for view in views]
     keys = key_views([view.turn for view in small])
     first = BodySolver(body, landmarks(), [small[key] for key in keys], height)

@@ -35,7 +35,7 @@ def lid_vertices(mesh: RiggedMesh) -> np.ndarray:
 @lru_cache(maxsize=1)
 def seeing() -> RiggedMesh:
     """Somebody with expressions."""
-    return with_expressions(person(), np.arange(len(person().vertices)))
+    return with_expressions(person())
 
 
 def shut(mesh: RiggedMesh) -> np.ndarray:

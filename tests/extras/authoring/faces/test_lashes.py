@@ -24,7 +24,7 @@ STILL = np.zeros((55, 3))
 @lru_cache(maxsize=1)
 def expressive() -> RiggedMesh:
     mesh = person()
-    return with_expressions(mesh, np.arange(len(mesh.vertices)))
+    return with_expressions(mesh)
 
 
 def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
