@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +14,7 @@ from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import derivative_column, fully_posed, projected
+from glsplat.extras.authoring.fit.landmarks import read_table
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import Hand
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -65,8 +64,7 @@ class HandPlaces:
 @lru_cache(maxsize=1)
 def hand_places() -> HandPlaces:
     """Return the embedded table (hand_offsets.json), measured on people whose joints and skin are known."""
-    text = (resources.files("glsplat.extras.authoring.fit") / "hand_offsets.json").read_text(encoding="utf-8")
-    rows = json.loads(text)["landmarks"]
+    rows = read_table("hand_offsets.json")
     return HandPlaces(np.array([row["offset"] for row in rows]), np.array([row["stray"] for row in rows]))
 
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,13 +49,16 @@ class Landmarks:
         return Points(rest, shape, self.joints[:, None], np.ones((len(self.joints), 1)))
 
 
+def read_table(name: str, key: str = "landmarks") -> list[dict[str, Any]]:
+    """Return the rows of one of this package's JSON tables."""
+    rows: list[dict[str, Any]] = json.loads(resources.files(__package__).joinpath(name).read_text("utf-8"))[key]
+    return rows
+
+
 @lru_cache(maxsize=1)
 def landmarks() -> Landmarks:
     """Return the embedded table (landmark_offsets.json), measured on people whose joints and skin are known."""
-    table = json.loads(
-        (resources.files("glsplat.extras.authoring.fit") / "landmark_offsets.json").read_text(encoding="utf-8")
-    )
-    rows = table["landmarks"]
+    rows = read_table("landmark_offsets.json")
     return Landmarks(
         numbers=np.array([row["landmark"] for row in rows], np.intp),
         joints=np.array([JOINT_NAMES.index(row["joint"]) for row in rows], np.intp),

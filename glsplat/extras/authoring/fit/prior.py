@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib import resources
 
 import numpy as np
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.fit.kinematics import Hinges
+from glsplat.extras.authoring.fit.landmarks import read_table
 from glsplat.rotations import matrix_quaternions, quaternion_vectors, unit_vectors
 
 _MIN_BEND_SINE = 0.05  # of an elbow whose axis is determined
@@ -89,8 +88,7 @@ class ArmMixture:
 @lru_cache(maxsize=1)
 def arm_mixture() -> ArmMixture:
     """Return the embedded mixture (arm_mixture.json), made by tools/data/arms.py."""
-    text = (resources.files("glsplat.extras.authoring.fit") / "arm_mixture.json").read_text(encoding="utf-8")
-    kinds = json.loads(text)["kinds"]
+    kinds = read_table("arm_mixture.json", "kinds")
     shares = np.array([kind["share"] for kind in kinds])
     means, covariances = (np.array([kind[key] for kind in kinds]) for key in ("mean", "spread"))
     return ArmMixture(shares / shares.sum(), means, covariances)
