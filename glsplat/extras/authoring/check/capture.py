@@ -85,11 +85,6 @@ class Capture:
     """[H, W] the person; without true pixels if nobody is found."""
 
     @property
-    def good(self) -> bool:
-        """There are no findings."""
-        return not self.findings
-
-    @property
     def refused(self) -> bool:
         """A finding refuses the picture."""
         return any(finding.refusal for finding in self.findings)

@@ -79,7 +79,9 @@ def coat_hem(body: Body, fit: BodyFit, dressed: Dressed, rgb: NDArray[np.uint8],
     mesh, front, mask = dressed.mesh, dressed.views[0], view.mask
     points = SurfacePoints(np.repeat(mesh.faces, len(_PLACES), axis=0), np.tile(_PLACES, (len(mesh.faces), 1)))
     corner, rest, joints = points.corners[:, 0], points.at(mesh.vertices), mesh.skeleton.joints
-    hip, knee, ankle = (joints[_pair(name), 1].mean() for name in ("hip", "knee", "ankle"))
+    hip, knee, ankle = (
+        joints[[JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")], 1].mean() for name in _LEGS
+    )
     where, pixels = points.at(front.vertices), points.at(front.pixels)
     pixel = np.floor(pixels).astype(np.intp).clip(0, np.array(mask.shape[::-1]) - 1)
     normals = points.directions(vertex_normals(front.vertices, mesh.faces))
@@ -91,7 +93,7 @@ def coat_hem(body: Body, fit: BodyFit, dressed: Dressed, rgb: NDArray[np.uint8],
     trunk, legs = trunk[corner], np.zeros(len(corner), bool)
     outer = trunk & (np.abs(rest[:, 0]) > _OUTER_FRACTION * half)
     for side in ("left", "right"):
-        leg = np.isin(body.part[corner], _pair("hip", side) + _pair("knee", side))
+        leg = _leg(body, side)[corner]
         line = joints[[JOINT_NAMES.index(f"{side}_{name}") for name in ("ankle", "knee", "hip")]]
         outer |= leg & (np.abs(rest[:, 0]) > np.abs(np.interp(height, line[:, 1], line[:, 0])))
         legs |= leg
@@ -153,7 +155,7 @@ def leg_gaps(body: Body, fit: BodyFit, view: View) -> F64:
     crotch = pixels[np.where(trunk_vertices(body) & body.skin, body.vertices[:, 1], np.inf).argmin(), 1]
     legs = []
     for side in ("left", "right"):
-        leg = np.isin(body.part, _pair("hip", side) + _pair("knee", side))
+        leg = _leg(body, side)
         legs.append(projected_mask(pixels, body.faces[leg[body.faces].all(axis=1)], view.mask.shape))
     gaps = []
     for row in range(max(int(crotch), 0), len(view.mask)):
@@ -165,10 +167,6 @@ def leg_gaps(body: Body, fit: BodyFit, view: View) -> F64:
         if gap.stop - gap.start > _MIN_GAP_FRACTION * view.figure:
             gaps.append((row, gap.stop - gap.start, view.mask[row, gap].mean()))
     return np.array(gaps, float).reshape(-1, 3)
-
-
-def _pair(name: str, *sides: str) -> list[int]:
-    return [JOINT_NAMES.index(f"{side}_{name}") for side in sides or ("left", "right")]
 
 
 def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8]) -> Dressed:

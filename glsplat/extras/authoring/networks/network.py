@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -22,13 +21,13 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.models.store import path_of
 
 
-class OnnxNetwork:
+class Network:
     """A network, named as in the store. Raises GlsplatError if its file is missing.
 
     Outputs are flat float32 arrays, equal for equal inputs on one machine. Threads may share an instance.
     """
 
-    def __init__(self, name: str, outputs: Iterable[str] = ()) -> None:
+    def __init__(self, name: str, outputs: tuple[str, ...] = ()) -> None:
         path = path_of(name)
         # OpenCV 5's default engine computes wrong landmarks of bodies; older versions have only the classic one
         engine = [cv2.dnn.ENGINE_CLASSIC] if hasattr(cv2.dnn, "ENGINE_CLASSIC") else []
@@ -41,7 +40,7 @@ class OnnxNetwork:
                 "install opencv-contrib-python-headless 4.10 or newer"
             ) from None
         self._lock = threading.Lock()
-        self.outputs: tuple[str, ...] = tuple(outputs) or tuple(self._net.getUnconnectedOutLayersNames())
+        self.outputs: tuple[str, ...] = outputs or tuple(self._net.getUnconnectedOutLayersNames())
 
     def __call__(self, picture: NDArray[np.uint8]) -> list[F32]:
         """Return the outputs, in the order of ``outputs``, for a square crop (RGB uint8 [n, n, 3])."""
@@ -52,10 +51,8 @@ class OnnxNetwork:
         return [np.array(value, np.float32).reshape(-1) for value in found]
 
 
-@lru_cache(maxsize=8)
-def network(name: str, outputs: tuple[str, ...] = ()) -> OnnxNetwork:
-    """Return the network, which is read once."""
-    return OnnxNetwork(name, outputs)
+network = lru_cache(maxsize=8)(Network)
+"""Return the ``Network``, which is read once."""
 
 
 @dataclass(frozen=True)

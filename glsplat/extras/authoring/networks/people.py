@@ -44,12 +44,8 @@ class Hand:
 
     points: F64
     """[21, 2] pixels of the picture (first pixel's centre at 0.5), in the order of HAND_LANDMARKS."""
-    world: F64
-    """[21, 3] metres from a point in the hand; x right, y down, z away from the camera."""
     presence: float
     """Probability that the crop shows a hand."""
-    crop: Crop
-    """The network's input."""
 
 
 def find_hand(picture: NDArray[np.uint8], body: DetectedBody, side: str) -> Hand:
@@ -60,18 +56,15 @@ def find_hand(picture: NDArray[np.uint8], body: DetectedBody, side: str) -> Hand
     reach = max(float(np.hypot(*along)), 1.0)
     middle = wrist + 1.2 * along
     crop = Crop(float(middle[0]), float(middle[1]), 3.6 * reach, _turn(along))
-    net = network("hand_landmark_full", ("Identity", "Identity_1", "Identity_3"))
+    net = network("hand_landmark_full", ("Identity", "Identity_1"))
     for step in range(_CROP_ROUNDS):
-        marks, presence, world = net(crop.cut(picture, _INPUT_PX))
+        marks, presence = net(crop.cut(picture, _INPUT_PX))
         points = crop.to_picture(marks.reshape(21, 3)[:, :2].astype(np.float64), _INPUT_PX)
         if presence[0] < 0.2 or step == _CROP_ROUNDS - 1:
             break
         along = points[[5, 9, 13]].mean(axis=0) - points[0]
         crop = Crop.around(points[_CROP_LANDMARKS], _turn(along), 2.0, up=0.1)
-    cos, sin = np.cos(crop.turn), np.sin(crop.turn)
-    upright = world.reshape(21, 3).astype(np.float64)
-    turned = np.column_stack([upright[:, :2] @ np.array([[cos, sin], [-sin, cos]]), upright[:, 2]])
-    return Hand(points, turned, float(presence[0]), crop)
+    return Hand(points, float(presence[0]))
 
 
 def _turn(along: F64) -> float:

@@ -24,7 +24,7 @@ from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.light.captured_light import captured_light, with_captured_light
-from glsplat.extras.authoring.networks.eye import EyeLook
+from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos

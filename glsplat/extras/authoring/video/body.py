@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.fit.body_fit import (
     MAX_FIGURE_PX,
@@ -51,11 +50,9 @@ def fit_turning(
 ) -> BodyFit:
     """Fit the open body to pictures of one person in about one pose, with ``turn`` known to some 20 degrees.
 
-    The camera stands still or moves around at one height. ``progress`` is called with the fraction done. Raises
-    FormatError; ``problem`` of the fit reports that it did not converge.
+    The camera stands still or moves around at one height. ``progress`` is called with the fraction done.
+    ``problem`` of the fit reports that it did not converge.
     """
-    if len(views) < 2:
-        raise FormatError("a fit of a turning person needs at least two pictures")
     body = open_body()
     small = [view.smaller(MAX_FIGURE_PX) for view in views]
     keys = key_views([view.turn for view in small])

@@ -133,22 +133,8 @@ class FramePicture(NamedTuple):
     focal: float | None  # pixels
 
 
-class FramePictures(NamedTuple):
-    """Pictures from all around a person."""
-
-    pictures: Sequence[FramePicture]
-    in_order: bool  # whether they follow each other in time
-
-
-class CheckedFrames(NamedTuple):
-    """The usable frames of a turn."""
-
-    frames: Sequence[Frame]  # the most frontal first
-    left_out: Sequence[str]  # a line for each that was left out
-
-
-def frames_of(sources: Sequence[FrameSource], count: int) -> FramePictures:
-    """Return the pictures of one video, at most ``count``, or of all the picture files.
+def frames_of(sources: Sequence[FrameSource], count: int) -> tuple[list[FramePicture], bool]:
+    """Return the pictures of one video, at most ``count``, or of all files, and whether they follow each other in time.
 
     Raises FormatError, one line that names the file.
     """
@@ -156,7 +142,7 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> FramePictures:
         raise FormatError("no frames: give a video, or pictures of the person from all around")
     if len(sources) == 1 and is_video(sources[0]):
         film = enumerate(read_frames(sources[0], count), 1)
-        return FramePictures([FramePicture(f"frame {number}", rgb, None) for number, rgb in film], True)
+        return [FramePicture(f"frame {number}", rgb, None) for number, rgb in film], True
     if len(sources) < MIN_FRAMES:
         few = "neither a video nor several pictures" if len(sources) == 1 else f"only {len(sources)} pictures"
         raise FormatError(
@@ -169,7 +155,7 @@ def frames_of(sources: Sequence[FrameSource], count: int) -> FramePictures:
             raise FormatError(f"{source}: one video alone, or pictures alone, not both")
         photo = read_photo(source)
         pictures.append(FramePicture(str(source), photo.picture, photo.focal))
-    return FramePictures(pictures, False)
+    return pictures, False
 
 
 def check_frames(
@@ -178,8 +164,8 @@ def check_frames(
     in_order: bool,
     anyway: bool = False,
     progress: Callable[[float], None] = lambda done: None,
-) -> CheckedFrames:
-    """Return the usable frames.
+) -> tuple[list[Frame], list[str]]:
+    """Return the usable frames, the most frontal first, and a line for each picture that is left out.
 
     Raises CaptureError for too few frames, or a turn with large gaps or without a front. ``anyway`` keeps frames in
     which the check found faults, and accepts part of a turn.
@@ -194,7 +180,9 @@ def check_frames(
             left_out.append(f"{name} is left out: {found[0].text if found else 'nobody is found'}")
             continue
         frames.append(Frame(name, picture, focal, capture.person, capture.mask, blur_of(picture, capture.mask)))
-    _check_count(frames, left_out, len(pictures))
+    if len(frames) < MIN_FRAMES:
+        why = f"; {left_out[0]}" if left_out else ""
+        raise CaptureError(f"{len(frames)} of {len(pictures)} frames will do, {MIN_FRAMES} are needed{why}")
     turns = facings([frame.person for frame in frames], in_order=in_order)
     frames = [
         replace(frame, turn=float(turn), person=facing_as(frame.picture, frame.person, float(turn)))
@@ -203,14 +191,7 @@ def check_frames(
     if not anyway:
         _check_turn(frames)
     best = min(range(len(frames)), key=lambda index: _frontal(frames[index]))
-    return CheckedFrames([frames[best], *frames[:best], *frames[best + 1 :]], left_out)
-
-
-def _check_count(frames: Sequence[Frame], left_out: Sequence[str], total: int) -> None:
-    if len(frames) >= MIN_FRAMES:
-        return
-    why = f"; {left_out[0]}" if left_out else ""
-    raise CaptureError(f"{len(frames)} of {total} frames will do, {MIN_FRAMES} are needed{why}")
+    return [frames[best], *frames[:best], *frames[best + 1 :]], left_out
 
 
 def _check_turn(frames: Sequence[Frame]) -> None:
