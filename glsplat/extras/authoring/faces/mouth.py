@@ -13,7 +13,7 @@ from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.body.open_face import mouth_lining, open_face, with_mouth
 from glsplat.extras.authoring.body.teeth import ToothTiles, tile_teeth
 from glsplat.extras.authoring.compute.threads import map_threads
-from glsplat.extras.authoring.faces.lashes import ExtraSplats, add_splats, axes_along
+from glsplat.extras.authoring.faces.lashes import ExtraSplats, add_splats, axes_along, joined_splats, unbent
 from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.extras.authoring.sample.cells import SamplerConfig
@@ -170,8 +170,4 @@ def _with_lip_shadows(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
             axes, scales = np.tile(np.eye(3), (many, 1, 1)), np.tile(_SHADOW_SIGMAS_M, (many, 1))
             rgb = np.tile(_LIP_SHADOW_RGB, (many, 1))
             parts.append(ExtraSplats(means, axes, scales, np.full(many, dark), rgb, face))
-    shadows = ExtraSplats(*(np.concatenate([getattr(one, key) for one in parts]) for key in ExtraSplats._fields))
-    made = add_splats(avatar, mesh, shadows)
-    assert made.shapes is not None
-    shadow_rows = (made.shapes.rows >= len(avatar.splats))[:, None, None]
-    return replace(made, shapes=replace(made.shapes, bends=np.where(shadow_rows, 0, made.shapes.bends)))
+    return unbent(add_splats(avatar, mesh, joined_splats(parts)), len(avatar.splats))

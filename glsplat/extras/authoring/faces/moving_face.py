@@ -22,8 +22,6 @@ from glsplat.meshes import RiggedMesh
 FACE_SPLATS = 1_600
 """Of an avatar, for teeth, gums, lids and lashes."""
 
-_OPACITY_FACTOR, _LENGTH_FACTOR = 0.45, 0.75  # of lashes: photographs show some already
-
 
 class MovingFace(NamedTuple):
     """The mesh and eyes that a moving face is made on."""
@@ -52,7 +50,7 @@ def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0, *, ey
     """
     (mesh, eyes), made, lashes = face, avatar, range(0)
     if eyes_visible:
-        made = with_lashes(avatar, mesh, eyes, seed, strength=_OPACITY_FACTOR, length=_LENGTH_FACTOR, light=False)
+        made = with_lashes(avatar, mesh, eyes, seed)
         lashes = range(len(avatar.splats), len(avatar.splats) + LASH_SPLATS * len(eyes))
     made = with_lids(made, mesh, eyes, lashes, seed)
     return with_teeth(made, mesh, total - len(made.splats), len(avatar.splats), seed)

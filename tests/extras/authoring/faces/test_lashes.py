@@ -1,4 +1,4 @@
-"""Lashes, shadows of lids, lights in the eyes."""
+"""Lashes and shadows of lids."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
 
 
 @pytest.mark.check
-def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
+def test_lashes_follow_the_lid() -> None:
     mesh = expressive()
     avatar = smiling()
     made = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")))
@@ -52,12 +52,7 @@ def test_lashes_follow_the_lid_and_the_light_goes_out() -> None:
     bones = Pose(STILL).bones(made.skeleton)
     posed = reference.skin(made.splats, made.skin, bones, shapes=made.shapes, expression=weights)
     moved = posed.means - made.splats.means
-    lashes, lights = moved[count:-2], moved[-2:]
-    assert np.quantile(lashes[:, 1], 0.2) < -0.004
-    assert (lights[:, 2] < -0.007).all() and np.abs(lights[:, :2]).max() < 1e-4
-    quiet = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")), strength=0.5, light=False)
-    assert len(quiet.splats) == len(made.splats) - 2
-    assert np.allclose(quiet.splats.opacities[count:], 0.5 * made.splats.opacities[count:-2], atol=1e-6)
+    assert np.quantile(moved[count:, 1], 0.2) < -0.004
 
 
 @lru_cache(maxsize=1)

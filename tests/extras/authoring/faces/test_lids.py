@@ -146,7 +146,7 @@ def test_other_splats_stay_and_without_visible_skin_lids_are_grey() -> None:
 
 def test_lashes_come_before_the_lid_and_turn_down() -> None:
     bare = painted()
-    given = with_lashes(bare, face().mesh, eyes(), light=False)
+    given = with_lashes(bare, face().mesh, eyes())
     first, end = len(bare.splats), len(bare.splats) + LASH_SPLATS * len(eyes())
     made = with_lids(given, face().mesh, eyes(), range(first, end))
     posed = [winking(made, much).means for much in (0.0, 1.0)]
