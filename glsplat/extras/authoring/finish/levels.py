@@ -71,11 +71,7 @@ def fitted_levels(
 
 
 def reduced(
-    avatar: Avatar,
-    count: int,
-    seed: int = 0,
-    config: FittedConfig | None = None,
-    progress: Report | None = None,
+    avatar: Avatar, count: int, seed: int = 0, config: FittedConfig | None = None, progress: Report | None = None
 ) -> Avatar:
     """Return an avatar of ``count`` splats fitted to pictures of ``avatar``; SH degree 0, no levels, no cones.
 

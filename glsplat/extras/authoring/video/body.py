@@ -44,9 +44,7 @@ def key_views(turns: Sequence[float], count: int = _KEY_VIEWS) -> list[int]:
 
 
 def fit_turning(
-    views: Sequence[View],
-    height: float | None = None,
-    progress: Callable[[float], None] = lambda done: None,
+    views: Sequence[View], height: float | None = None, progress: Callable[[float], None] = lambda done: None
 ) -> BodyFit:
     """Fit the open body to pictures of one person in about one pose, with ``turn`` known to some 20 degrees.
 
