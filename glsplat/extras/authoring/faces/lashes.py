@@ -122,11 +122,7 @@ def add_splats(avatar: Avatar, mesh: RiggedMesh, splats: ExtraSplats) -> Avatar:
     corners = mesh.faces[splats.faces]
     count, wide = len(splats.faces), len(mesh.skeleton)
     dense = np.zeros((count, wide))
-    for corner in range(3):
-        for one in range(mesh.joints.shape[1]):
-            np.add.at(
-                dense, (np.arange(count), mesh.joints[corners[:, corner], one]), mesh.weights[corners[:, corner], one]
-            )
+    np.add.at(dense, (np.arange(count)[:, None, None], mesh.joints[corners]), mesh.weights[corners])
     skin = Skin.create(np.broadcast_to(np.arange(wide), dense.shape), dense, wide, avatar.skin.joints.shape[1])
     extra_avatar = Avatar(more, avatar.skeleton, skin)
     if mesh.morphs is not None:

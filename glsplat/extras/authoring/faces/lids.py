@@ -21,19 +21,15 @@ from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.eyes import BLINK_SHAPES, Eyeball, LidEdges, Opening, blink_shape_of, directions
-from glsplat.extras.authoring.faces.lashes import (
-    LASH_RGB,
-    ExtraSplats,
-    add_splats,
-    axes_along,
-)
+from glsplat.extras.authoring.faces.lashes import LASH_RGB, ExtraSplats, add_splats, axes_along
+from glsplat.extras.authoring.geometry.mesh_shapes import sorted_axes
 from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.surface import make_avatar
 from glsplat.meshes import MeshPart, RiggedMesh
-from glsplat.rotations import quaternion_matrices, unit_vectors
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import SH_C0, Splats
 
@@ -226,8 +222,7 @@ def _lid_opacity(offsets: F64, edges: LidEdges) -> F64:
 
 def _long_axes(splats: Splats) -> F64:
     """Return [N, 2, 3] the two long axes."""
-    axes = quaternion_matrices(np.where(splats.finite()[:, None], splats.quats, (1, 0, 0, 0)).astype(np.float64))
-    return np.take_along_axis(axes, long_axes(splats.scales)[:, None, :2], axis=2).transpose(0, 2, 1)
+    return sorted_axes(splats)[:, :, :2].transpose(0, 2, 1)
 
 
 class _SkinModel(NamedTuple):

@@ -213,9 +213,7 @@ def _dense(scene: Splats | Avatar, usable: NDArray[np.intp]) -> F32 | None:
     joints, weights = scene.skin.joints[usable].astype(np.intp), scene.skin.weights[usable]
     used, columns = np.unique(joints, return_inverse=True)
     out = np.zeros((len(usable), len(used)), np.float32)
-    columns = columns.reshape(joints.shape)
-    for k in range(joints.shape[1]):
-        np.add.at(out, (np.arange(len(usable)), columns[:, k]), weights[:, k])
+    np.add.at(out, (np.arange(len(usable))[:, None], columns.reshape(joints.shape)), weights)
     return out
 
 

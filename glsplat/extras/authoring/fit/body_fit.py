@@ -11,18 +11,11 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.body.segments import arm_layers
+from glsplat.extras.authoring.body.segments import arm_layers, hand_weights
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import landmarks
-from glsplat.extras.authoring.fit.limbs import (
-    before_trunk,
-    beside_arms,
-    hands,
-    hidden_arms,
-    limb_uncertainty,
-    missing_part,
-)
+from glsplat.extras.authoring.fit.limbs import before_trunk, beside_arms, hidden_arms, limb_uncertainty, missing_part
 from glsplat.extras.authoring.fit.offsets import face_vertices, offset_directions, smooth_offsets, sole_vertices
 from glsplat.extras.authoring.fit.outline import (
     Rim,
@@ -242,7 +235,7 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     found = np.isfinite(gaps)
     if moved is not None:  # ignore edges of a held ball or bag
         hand_reach = _HAND_REACH_FRACTION * view.figure
-        near_hand = beside_arms(body, pixels, view.mask.shape, hand_reach, hands(body))[row, column]
+        near_hand = beside_arms(body, pixels, view.mask.shape, hand_reach, hand_weights(body) > 0.5)[row, column]
         found &= ~(near_hand & (gaps > _MAX_HELD_FRACTION * view.figure))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 

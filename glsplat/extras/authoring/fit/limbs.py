@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import arm_layers, forearms, hand_weights
+from glsplat.extras.authoring.body.segments import arm_layers, forearms
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.geometry.raster import visible_faces
@@ -35,12 +35,6 @@ LIMBS: dict[str, tuple[int, ...]] = {
 }
 """Numbers of each limb's landmarks; the head's is the nose."""
 _MAX_UNCERTAINTY = 0.6  # of one leg, or of the head
-
-
-@lru_cache(maxsize=1)
-def hands(body: Body) -> NDArray[np.bool_]:
-    """Return a mask [V] of the hands."""
-    return hand_weights(body) > 0.5
 
 
 def beside_arms(

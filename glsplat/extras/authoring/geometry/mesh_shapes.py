@@ -85,9 +85,7 @@ def shapes_of(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[n
     )
     attached: NDArray[np.bool_] = np.logical_and(usable, distance < _MAX_DISTANCE_M)
     corners = mesh.faces[face]
-    axes = quaternion_matrices(np.where(usable[:, None], splats.quats, (1, 0, 0, 0)))
-    order = long_axes(splats.scales)
-    long_columns = np.take_along_axis(axes, order[:, None, :2], axis=2)  # [N, 3, 2]
+    long_columns = sorted_axes(splats)[:, :, :2]
     rows, targets, moves, bends = [], [], [], []
     for target, name in enumerate(morphs.names):
         offsets = morphs.dense(name, len(mesh.vertices))
@@ -205,7 +203,7 @@ def transferred_surface(surface: Surface | None, before: Splats, after: Splats) 
 
 def _bend_gradients(shapes: Shapes, splats: Splats) -> F64:
     """Return the deformation gradients less the identity [E, 3, 3]; the normal stays perpendicular to both axes."""
-    axes = _axes(splats)[shapes.rows]
+    axes = sorted_axes(splats)[shapes.rows]
     one, other, normal = axes[:, :, 0], axes[:, :, 1], axes[:, :, 2]
     first, second = (shapes.bends[:, k] * BEND for k in (0, 1))
     lean = -np.einsum("ei,ei->e", first, normal)[:, None] * one - np.einsum("ei,ei->e", second, normal)[:, None] * other
@@ -213,10 +211,10 @@ def _bend_gradients(shapes: Shapes, splats: Splats) -> F64:
 
 
 def _bends(gradients: F64, splats: Splats, rows: NDArray[np.integer]) -> F64:
-    return np.asarray(np.einsum("eij,ejk->eki", gradients, _axes(splats)[rows][:, :, :2]))
+    return np.asarray(np.einsum("eij,ejk->eki", gradients, sorted_axes(splats)[rows][:, :, :2]))
 
 
-def _axes(splats: Splats) -> F64:
+def sorted_axes(splats: Splats) -> F64:
     """Return the two long axes and the thin one, as columns [N, 3, 3]."""
     finite = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
     axes = quaternion_matrices(np.where(finite, splats.quats, (1, 0, 0, 0)))

@@ -34,13 +34,7 @@ from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.shoes import footwear_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.extras.authoring.reconstruct.reconstructor import (
-    FittedBody,
-    MadeAvatar,
-    Mask,
-    Options,
-    Picture,
-)
+from glsplat.extras.authoring.reconstruct.reconstructor import FittedBody, MadeAvatar, Mask, Options, Picture
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
