@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.arrays import F64
-from glsplat.errors import FormatError
+from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit.eyes import fitted_sphere
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
-from glsplat.skinning.skin import strongest_joint
+from glsplat.skinning.smplx import JOINT_NAMES
 
 Indices = NDArray[np.intp]
-_MIN_VERTICES = 16  # of an eye
 _SIDES_RAD = np.radians(np.linspace(-62, 62, 63))  # ray directions, to the left ...
 _HEIGHTS_RAD = np.radians(np.linspace(-50, 50, 101))  # ... and up
 _MAX_START_STEPS = 25  # of height from the middle, at most, to the start of an opening
@@ -45,18 +44,15 @@ class Eyeball:
     radius: float  # metres
 
 
-def fit_eyeballs(mesh: RiggedMesh, *parts: str) -> list[Eyeball]:
-    """Return spheres fitted to the vertices of each eye's joint in the ``parts``. Raises FormatError without both."""
-    names, out = mesh.skeleton.names, []
-    every = [one.faces.reshape(-1) for one in mesh.parts if one.name in parts]
-    used = np.unique(np.concatenate([np.empty(0, np.int32), *every]))
-    strongest = strongest_joint(mesh.joints, mesh.weights)
-    for joint in EYES:
-        mine = used[strongest[used] == names.index(joint)] if joint in names else used[:0]
-        if len(mine) < _MIN_VERTICES:
-            raise FormatError(f"{' and '.join(parts)} need vertices bound to {joint}")
-        out.append(Eyeball(joint, *fitted_sphere(mesh.vertices[mine])))
-    return out
+def fit_eyeballs(mesh: RiggedMesh) -> list[Eyeball]:
+    """Return spheres fitted to both eyes of a mesh whose first vertices are the open body's."""
+    return [Eyeball(joint, *fitted_sphere(mesh.vertices[_ball_vertices(joint)])) for joint in EYES]
+
+
+def _ball_vertices(joint: str) -> Indices:
+    """Return the open body's vertices of the eyeball that turns about ``joint``."""
+    body = open_body()
+    return np.flatnonzero(~body.skin & (body.part == JOINT_NAMES.index(joint)))
 
 
 class LidEdges(NamedTuple):
@@ -212,9 +208,7 @@ def with_blink(mesh: RiggedMesh, shares: Mapping[str, float]) -> RiggedMesh:
     weights = [shares.get(name, 1.0) for name in morphs.names]
     scaled_morphs = replace(morphs, offsets=morphs.offsets * np.repeat(weights, np.diff(morphs.starts))[:, None])
     balls = {}
-    vertices = np.unique(mesh.faces)
-    strongest = strongest_joint(mesh.joints, mesh.weights)[vertices]
     for eye, name in zip(EYES, BLINK_SHAPES, strict=True):
-        ball = vertices[strongest == mesh.skeleton.names.index(eye)]
+        ball = _ball_vertices(eye)
         balls[name] = ball, np.tile(EYEBALL_RETREAT_M, (len(ball), 1))
     return replace(mesh, morphs=scaled_morphs.plus(balls))

@@ -33,10 +33,10 @@ class MovingFace(NamedTuple):
 def moving_face(mesh: RiggedMesh) -> MovingFace:
     """Return the moving face of ``mesh``.
 
-    Its first vertices are the open body's; it has parts called eyes, mouth and skin.
+    Its first vertices are the open body's.
     """
     moving = with_open_lips(with_expressions(mesh))
-    eyes = find_openings(mesh, fit_eyeballs(mesh, "eyes"))
+    eyes = find_openings(mesh, fit_eyeballs(mesh))
     shares = {blink_shape_of(eye.ball): closing_weight(moving, eye) for eye in eyes}
     return MovingFace(with_blink(moving, shares), tuple(eyes))
 

@@ -203,7 +203,7 @@ def decode_photo(data: bytes, side: int = MAX_SIDE_PX) -> Photo:
     return Photo(np.ascontiguousarray(picture), focal, size, tuple(notes), alpha)
 
 
-def reduced(picture: NDArray[np.uint8], side: int = MAX_SIDE_PX) -> NDArray[np.uint8]:
+def reduced(picture: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
     """Return the picture [H, W] or [H, W, 3] with at most ``side`` pixels a side."""
     scale = side / max(picture.shape[:2])
     if scale >= 1:

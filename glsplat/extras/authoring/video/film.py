@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, reduced
+from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, MAX_SIDE_PX, reduced
 from glsplat.io.files import open_regular
 
 MIN_FRAMES = 8
@@ -115,7 +115,7 @@ def _chosen(
             _check_shape(picture, path)
             sharp, interval = _sharpness(picture), candidates[number]
             if interval not in best or sharp > best[interval][0]:
-                best[interval] = sharp, np.ascontiguousarray(reduced(picture)[..., ::-1])
+                best[interval] = sharp, np.ascontiguousarray(reduced(picture, MAX_SIDE_PX)[..., ::-1])
     return [best[key][1] for key in sorted(best)], total
 
 

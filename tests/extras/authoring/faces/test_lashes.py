@@ -29,7 +29,7 @@ def expressive() -> RiggedMesh:
 
 def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
     mesh = expressive()
-    for ball in fit_eyeballs(mesh, "eyes"):
+    for ball in fit_eyeballs(mesh):
         edges = lid_edges(mesh, ball, 0.9)
         assert len(edges.side) > 25 and (edges.upper > edges.lower).all()
         reach = np.linalg.norm(np.concatenate([edges.upper_at, edges.lower_at]) - ball.centre, axis=1) / ball.radius
@@ -44,7 +44,7 @@ def test_lids_end_where_the_eye_begins_and_the_upper_one_comes_down() -> None:
 def test_lashes_follow_the_lid() -> None:
     mesh = expressive()
     avatar = smiling()
-    made = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")))
+    made = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh)))
     count = len(avatar.splats)
     assert len(made.splats) - count > 200 and made.shapes is not None and avatar.shapes is not None
     assert np.array_equal(made.splats.means[:count], avatar.splats.means)
@@ -64,7 +64,7 @@ def smiling() -> Avatar:
 def test_lid_shadows_follow_the_lids_without_stretching() -> None:
     mesh = expressive()
     avatar = smiling()
-    lashed = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh, "eyes")))
+    lashed = with_lashes(avatar, mesh, find_openings(mesh, fit_eyeballs(mesh)))
     shapes, made = lashed.shapes, lashed.splats
     veils = np.abs(made.sh[:, 0] * SH_C0 + 0.5 - LID_SHADOW_RGB).max(axis=1) < 1e-3
     assert shapes is not None and veils.sum() > 60

@@ -32,7 +32,7 @@ def painted() -> Avatar:
     avatar = with_shapes(avatar_on(mesh, 3000), mesh)
     splats, means = avatar.splats, avatar.splats.means.astype(np.float64)
     rgb = np.tile(SKIN, (len(means), 1))
-    for ball in fit_eyeballs(mesh, "eyes"):
+    for ball in fit_eyeballs(mesh):
         ways = means - ball.centre
         far = np.linalg.norm(ways, axis=1)
         rgb[(ways[:, 1] < 0) & (far < 0.05)] += (0.06, 0, 0)
