@@ -13,17 +13,11 @@ from numpy.typing import NDArray
 
 from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body, Points
+from glsplat.extras.authoring.networks.person import OPPOSITE
 from glsplat.skinning.smplx import JOINT_NAMES
 
 LANDMARK_COUNT = 33
 """Number of the network's landmarks."""
-
-
-def _mirror_number(number: int) -> int:
-    """Return the number of the landmark on the other side, or of the nose itself."""
-    if number in (2, 5):
-        return 7 - number
-    return number if number == 0 else number + 1 if number % 2 else number - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +33,7 @@ class Landmarks:
     def mirror_rows(self) -> NDArray[np.intp]:
         """[L] row of the landmark on the other side, or of the nose itself."""
         rows = {int(number): row for row, number in enumerate(self.numbers)}
-        return np.array([rows[_mirror_number(int(number))] for number in self.numbers], np.intp)
+        return np.array([rows[OPPOSITE[number]] for number in self.numbers], np.intp)
 
     def points(self, body: Body) -> Points:
         """Return the landmarks as points of the body."""

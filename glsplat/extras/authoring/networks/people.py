@@ -12,7 +12,7 @@ from glsplat.arrays import F32, F64
 from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.networks.face import Face, face_probability, find_face
 from glsplat.extras.authoring.networks.network import Crop, network
-from glsplat.extras.authoring.networks.person import LANDMARKS, DetectedBody, find_body, people_mask
+from glsplat.extras.authoring.networks.person import LANDMARKS, OPPOSITE, DetectedBody, find_body, people_mask
 
 HAND_LANDMARKS = (
     "wrist thumb_cmc thumb_mcp thumb_ip thumb_tip index_mcp index_pip index_dip index_tip middle_mcp middle_pip "
@@ -30,12 +30,6 @@ _HEAD_FROM_FACE = (  # points of the face mesh whose means replace the head's LA
     *((1,), (362,), (362, 263), (263,), (133,), (133, 33), (33,)),  # nose; left and right eye from its inner corner
     *((454,), (234,), (291,), (61,)),  # ears, mouth's corners
 )
-_OPPOSITE = [
-    LANDMARKS.index(
-        name.replace("left", "right") if "left" in name else name.replace("right", "left") if "right" in name else name
-    )
-    for name in LANDMARKS
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +115,7 @@ def swap_sides(body: DetectedBody) -> DetectedBody:
     """Return the body as seen from the opposite side: left and right exchanged, depths negated."""
     return replace(
         body,
-        points=body.points[_OPPOSITE],
-        visible=body.visible[_OPPOSITE],
-        world=body.world[_OPPOSITE] * (1.0, 1.0, -1.0),
+        points=body.points[OPPOSITE],
+        visible=body.visible[OPPOSITE],
+        world=body.world[OPPOSITE] * (1.0, 1.0, -1.0),
     )

@@ -19,6 +19,9 @@ LANDMARKS = (
     "right_ankle left_heel right_heel left_foot_index right_foot_index"
 ).split()
 """Names of the 33 landmarks, in order; left and right are the person's own."""
+_OTHER_SIDE = {"left": "right", "right": "left"}
+OPPOSITE = [LANDMARKS.index("_".join(_OTHER_SIDE.get(word, word) for word in name.split("_"))) for name in LANDMARKS]
+"""Index of the landmark on the other side, or of the nose itself, for each landmark."""
 
 _INPUT_PX = 256  # side of both networks' inputs
 _CROP_FACTOR = 1.25  # the crop's side in sides of the person's box, as the network was trained
