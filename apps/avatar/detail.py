@@ -20,7 +20,7 @@ from glsplat.formats import load_splats, save, suffixes
 from ..args import natural
 from ..inspect import levels_of, levels_text
 from ..usage import UsageError
-from .writing import add_notes, check_name, progress_bar, write
+from .writing import add_out, check_name, progress_bar, write
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,14 +87,12 @@ def run(args: argparse.Namespace) -> int:
 def add_reduce(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("avatar", type=Path, help="avatar (.glb) of any source")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
     parser.add_argument("--splats", type=natural, required=True, help="number of Gaussians")
     parser.add_argument(
         "--steps", type=natural, default=FittedConfig().steps, help="of the fit (default %(default)d); 0: merged only"
     )
     parser.add_argument("--seed", type=natural, default=0, help="same seed, same bytes (default 0)")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    add_notes(parser)
+    add_out(parser)
 
 
 def reduce(args: argparse.Namespace) -> int:

@@ -55,17 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="splats",
         help="Gaussians, or a textured mesh that other programs open (default %(default)s)",
     )
-    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
-    parser.add_argument("--splats", type=natural, help=f"number of Gaussians (default {_DEFAULT.splats})")
-    parser.add_argument("--seed", type=natural, help=f"same seed, same bytes (default {_DEFAULT.seed})")
-    parser.add_argument(
-        "--steps",
-        type=natural,
-        help=f"of fitting all parameters of the splats, about 40 s for the default {_DEFAULT.steps}; 0: none",
-    )
-    parser.add_argument(
-        "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
-    )
+    add_making(parser)
     parser.add_argument("--mask", type=Path, help="the person in the front picture: white on black, same size")
     for side in _OTHERS:
         parser.add_argument(f"--{side}-mask", type=Path, help=f"the same for the {side} picture")
@@ -96,6 +86,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
     add_ray(parser, "the pictures of a folder")
     add_notes(parser)
+
+
+def add_making(parser: argparse.ArgumentParser, note: str = "") -> None:
+    """Add the options that ``options_of`` reads; ``note`` begins the help of those that concern splats alone."""
+    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
+    parser.add_argument("--splats", type=natural, help=f"{note}number of Gaussians (default {_DEFAULT.splats})")
+    parser.add_argument("--seed", type=natural, help=f"{note}same seed, same bytes (default {_DEFAULT.seed})")
+    steps = f"of fitting all parameters of the splats, about 40 s for a photograph with the default {_DEFAULT.steps}; 0: none"
+    parser.add_argument("--steps", type=natural, help=note + steps)
+    texture = f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
+    parser.add_argument("--texture", type=natural, help=texture)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -36,6 +36,13 @@ def add_notes(command: argparse.ArgumentParser) -> None:
         command.add_argument(f"--{key}", help=f"{what}, kept in the file")
 
 
+def add_out(parser: argparse.ArgumentParser) -> None:
+    """Add --out, the options of ``add_notes`` and --json."""
+    parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+    add_notes(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
 def notes_of(args: argparse.Namespace) -> dict[str, str]:
     """Return the metadata of the options of ``add_notes``."""
     return {key: getattr(args, key) for key in _NOTES if getattr(args, key)}
