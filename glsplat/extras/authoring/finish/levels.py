@@ -19,7 +19,6 @@ from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.finish.level_measure import MeasureConfig, Pictures, Viewpoint, measured, viewpoints_of
 from glsplat.extras.authoring.finish.level_merge import Cover, area_of, covered, merged, merged_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import transferred_shapes
-from glsplat.gl.context import Context
 from glsplat.splats import Splats
 
 Report = Callable[[str, float], None]
@@ -44,30 +43,21 @@ class FittedConfig:
     poses: int = 64
 
 
-def fitted_levels(
-    avatar: Avatar,
-    counts: Sequence[int],
-    seed: int = 0,
-    config: FittedConfig | None = None,
-    progress: Report | None = None,
-) -> tuple[Avatar, ...]:
-    """Return avatars of ``counts`` splats (falling) fitted to ``avatar``; SH degree 0. Needs numba.
+def _silent(stage: str, done: float) -> None: ...
 
-    Deterministic; each level is independent of the others.
-    Raises GlsplatError for counts that do not fall from the avatar's own.
-    """
-    sizes = [len(avatar.splats), *counts]
-    if any(not 0 < few < many for many, few in pairwise(sizes)):
-        raise GlsplatError(f"levels need fewer and fewer splats below {sizes[0]}, not {', '.join(map(str, counts))}")
+
+def fitted_levels(
+    avatar: Avatar, counts: Sequence[int], seed: int = 0, config: FittedConfig | None = None, report: Report = _silent
+) -> list[Avatar]:
+    """Return avatars of each of ``counts`` splats fitted to ``avatar``; SH degree 0. Deterministic. Needs numba."""
     made = []
     for index, count in enumerate(counts):
 
         def show(stage: str, done: float, index: int = index) -> None:
-            if progress:
-                progress(f"level {index + 1} of {len(counts)}: {stage}", (index + done) / len(counts))
+            report(f"level {index + 1} of {len(counts)}: {stage}", (index + done) / len(counts))
 
         made.append(reduced(avatar, count, seed, config, show))
-    return tuple(made)
+    return made
 
 
 def reduced(
@@ -110,46 +100,38 @@ def with_levels(
     config: MeasureConfig | None = None,
     progress: Report | None = None,
 ) -> Scene:
-    """Return ``scene`` with new levels, fitted in ``steps`` each for an avatar where numba is installed.
+    """Return ``scene`` with new levels, without those that keep ``config.psnr`` nowhere.
 
-    Levels of static splats, with 0 steps, or without numba are merged only. Raises as ``with_merged_levels``.
+    Levels of an avatar are fitted in ``steps`` each. Levels of static splats, with 0 steps, or without numba are merged
+    only. Raises GlsplatError for counts that do not fall from below the number of splats, and where no splat can be
+    drawn.
     """
-    if not (isinstance(scene, Avatar) and steps and available()):
-        return with_merged_levels(scene, counts, config, progress)
-    bare = replace(scene, levels=())
-    counts = halves(len(scene.splats)) if counts is None else counts
-    levels = fitted_levels(bare, counts, seed, FittedConfig(steps=steps), progress)
-    return replace(bare, levels=measured(bare, levels, config, progress))
-
-
-def with_merged_levels(
-    scene: Scene,
-    counts: Sequence[int] | None = None,  # falling, each below the finest's; default: halves
-    config: MeasureConfig | None = None,
-    progress: Report | None = None,
-    context: Context | None = None,
-) -> Scene:
-    """Return ``scene`` with new merged levels, without those that keep ``config.psnr`` nowhere.
-
-    Raises GlsplatError for counts that do not fall from below the number of splats, and where no splat can be drawn.
-    """
-    config, report = config or MeasureConfig(), progress or (lambda stage, done: None)
+    config, report = config or MeasureConfig(), progress or _silent
     bare: Any = replace(scene, levels=())  # type: ignore[arg-type]
     total = len(splats_of(bare))
-    counts = halves(total) if counts is None else list(counts)
-    if not counts or counts[0] >= total:
-        raise GlsplatError(f"levels need fewer splats than the finest, which has {total}")
-    raw = merged_levels(bare, counts, report)
-    viewpoints = viewpoints_of(bare, config)
+    counts = halves(total) if counts is None else counts
+    if not counts or any(not 0 < few < many for many, few in pairwise([total, *counts])):
+        raise GlsplatError(f"levels need fewer and fewer splats below {total}, not {', '.join(map(str, counts))}")
+    if isinstance(scene, Avatar) and steps and available():
+        levels = fitted_levels(bare, counts, seed, FittedConfig(steps=steps), report)
+    else:
+        levels = covering_levels(bare, counts, config, report)
+    made: Scene = replace(bare, levels=measured(bare, levels, config, report))
+    return made
+
+
+def covering_levels(scene: Any, counts: Sequence[int], config: MeasureConfig, report: Report = _silent) -> list[Any]:
+    """Return the scene merged to each of ``counts``, with the coverage that pictures of the finest ask for."""
+    raw = merged_levels(scene, counts, report)
+    viewpoints = viewpoints_of(scene, config)
     tuning = viewpoints[:: max(1, len(viewpoints) // _TUNING_VIEWS)]
     levels, cover = [], Cover()
-    with Pictures([bare, raw[0]], tuning, config.size, context) as pictures:
+    with Pictures([scene, raw[0]], tuning, config.size) as pictures:
         for number, one in enumerate(raw):
             report("matching the coverage of levels", number / len(raw))
             cover = _matched(one, tuning, pictures, config, cover)
             levels.append(covered(one, cover))
-    made: Scene = replace(bare, levels=measured(bare, levels, config, report, context))
-    return made
+    return levels
 
 
 def _matched(
