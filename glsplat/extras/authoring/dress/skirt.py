@@ -41,8 +41,7 @@ _MIN_AGREEMENT = 0.9  # of the rows that are like the coat above the hem, and li
 _MIN_GAP_FRACTION = 0.012  # of the person's height: width of a gap between legs that counts
 _HEM_FRACTION, _HEM_REACH_FRACTION = 0.025, 0.04  # of the height: of the rows of a hem; between two finds of it
 _MIN_SKIRT_FRACTION = 0.03  # of the height: length of the covered gap; a shorter one is the cut of trousers
-MIN_COVERED_FRACTION = 0.97
-"""Of the gap between the legs, by a skirt or a coat."""
+_MIN_COVERED_FRACTION = 0.97  # of the gap between the legs, by a skirt or a coat
 _LEGS = ("hip", "knee", "ankle")
 # fractions of the person's height in the picture
 _MIN_HEM_GAP_FRACTION = 0.04  # width between the legs at a hem; the gap of trousers begins narrow
@@ -140,9 +139,9 @@ def hem_row(gaps: F64, view: View) -> int | None:
     rows, _, covered = gaps.T
     bare = covered < 0.5
     last = int(bare.argmax())
-    if not bare.any() or last == 0 or covered[:last].mean() < MIN_COVERED_FRACTION:
+    if not bare.any() or last == 0 or covered[:last].mean() < _MIN_COVERED_FRACTION:
         return None
-    whole = rows[:last][covered[:last] > MIN_COVERED_FRACTION].max(initial=rows[0])
+    whole = rows[:last][covered[:last] > _MIN_COVERED_FRACTION].max(initial=rows[0])
     abrupt = rows[last] - whole < _HEM_FRACTION * view.figure
     return last if abrupt and whole - rows[0] > _MIN_SKIRT_FRACTION * view.figure else None
 
@@ -213,7 +212,7 @@ def hem_of(body: Body, fit: BodyFit, mesh: RiggedMesh, view: View) -> float | No
     last = hem_row(gaps, view)
     if last is None:  # perhaps a gown
         last, long = len(rows) - 1, rows[-1] - rows[0] > _MIN_GOWN_FRACTION * view.figure
-        if not long or covered.min() < 0.5 or covered.mean() < MIN_COVERED_FRACTION:
+        if not long or covered.min() < 0.5 or covered.mean() < _MIN_COVERED_FRACTION:
             return None
         hem_gap = widths[-(len(widths) // 4 + 1) :].min()
     else:
