@@ -22,7 +22,7 @@ from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.faces.eyes import BLINK_SHAPES, Eyeball, LidEdges, Opening, blink_shape_of, directions
 from glsplat.extras.authoring.faces.lashes import LASH_RGB, ExtraSplats, add_splats, axes_along
-from glsplat.extras.authoring.geometry.mesh_shapes import sorted_axes
+from glsplat.extras.authoring.geometry.attribute_transfer import sorted_axes
 from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.paint.ramps import ramp, smoothstep
 from glsplat.extras.authoring.sample.cells import SamplerConfig

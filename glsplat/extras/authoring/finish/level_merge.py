@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from glsplat.arrays import F32, F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.geometry.mesh_shapes import merged_shapes, transferred_surface
+from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes, transferred_surface
 from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats

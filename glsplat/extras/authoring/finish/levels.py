@@ -18,7 +18,7 @@ from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.compute.compiled import available
 from glsplat.extras.authoring.finish.level_measure import MeasureConfig, Pictures, Viewpoint, measured, viewpoints_of
 from glsplat.extras.authoring.finish.level_merge import Cover, area_of, covered, merged, merged_levels
-from glsplat.extras.authoring.geometry.mesh_shapes import transferred_shapes
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
 from glsplat.splats import Splats
 
 Report = Callable[[str, float], None]

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes, transferred_surface
 from glsplat.extras.authoring.geometry.footprints import footprints
-from glsplat.extras.authoring.geometry.mesh_shapes import transferred_shapes, transferred_surface
 from glsplat.extras.authoring.geometry.raster import mesh_picture_and_depth
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import nearest_rotations

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.mesh_shapes import (
+from glsplat.extras.authoring.geometry.attribute_transfer import (
     expression_maps,
     transferred_shapes,
     transferred_surface,

@@ -13,7 +13,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones
-from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs, transferred_shapes, with_shapes
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_shapes
+from glsplat.extras.authoring.geometry.mesh_shapes import body_morphs, with_shapes
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.refine import RefineConfig, refine
 from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar

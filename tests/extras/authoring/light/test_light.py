@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.mesh_shapes import transferred_surface
+from glsplat.extras.authoring.geometry.attribute_transfer import transferred_surface
 from glsplat.extras.authoring.light.captured_light import CapturedLight, cloth_normals, with_captured_light
 from glsplat.extras.authoring.light.surfaces import ambient_occlusion, locate_splats, with_surface
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
