@@ -25,6 +25,7 @@ def test_the_wheel_renders_from_elsewhere(tmp_path: Path) -> None:
     tables = {
         f"glsplat/extras/authoring/fit/{name}.json" for name in ("landmark_offsets", "hand_offsets", "face_places")
     }
+    tables.add("glsplat/extras/authoring/models/catalogue.toml")
     assert "glsplat/data/open_body.npz" in names and tables <= set(names)
     assert len([n for n in names if n.startswith("glsplat/extras/authoring/templates/data/")]) == 16
     shaders = {p.name for p in (ROOT / "glsplat").rglob("*.glsl")}

@@ -27,7 +27,7 @@ _ACTIONS = {
     "make": _Action("a rigged, textured person (.npz, .glb, .vrm) to a Gaussian avatar", "making", "add_make", "make"),
     "cones": _Action("compute visibility cones of splats, for --cull-hidden", "making", "add_cones", "cones"),
     "levels": _Action("add coarser levels of detail to a file, merged from it", "detail"),
-    "reduce": _Action("an avatar with fewer splats, fitted to its own pictures", "reduce"),
+    "reduce": _Action("an avatar with fewer splats, fitted to its own pictures", "detail", "add_reduce", "reduce"),
     "import": _Action(
         "an LHM dump, a LAM zip, an avatar of another rig, or splats on a mesh", "making", "add_import", "take"
     ),

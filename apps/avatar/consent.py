@@ -1,21 +1,26 @@
-"""``glsplat avatar consent``: sign a consent record into an avatar's file; describe records for ``inspect``."""
+"""``glsplat avatar consent``: sign a consent record into an avatar's file; also ``--mine`` and ``inspect``."""
 
 from __future__ import annotations
 
 import argparse
 import re
+import sys
 import time
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from glsplat.extras.consent.document import ANYBODY
-from glsplat.extras.consent.file import OnFile, sign_file
+from glsplat.extras.consent.file import OnFile, sign_data, sign_file
 from glsplat.extras.consent.keys import new_key, private_key, public_path
+from glsplat.io.files import replace_file
 
 from ..usage import UsageError
 
 _PURPOSE = "to be shown and driven as an avatar"
+_MINE_VALIDITY = timedelta(days=365)
+_MINE_SUBJECT, _MINE_GIVEN_BY = "the person of the photograph", "whoever made it on this computer"
+_MINE_PURPOSE = "to be shown and driven as an avatar; whoever made it said: this is me, or this person agreed"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -134,3 +139,27 @@ def full_text(record: dict[str, Any]) -> str:
         f"{record['fault'] or 'valid'}: {record['subject']}{by}, purpose: {record['purpose']}, {days}, "
         f"may be driven by {drivers}{_handing_out(record)}; the signature by {record['key']} fits"
     )
+
+
+def sign_mine(path: Path) -> None:
+    """Sign the avatar at ``path`` for a year, with the key of this user's servers (``consent-key``).
+
+    The record does not allow handing out splats. Raises GlsplatError, which names the file.
+    """
+    from glsplat.extras.consent.keys import kept_key  # the server's key store, which other commands do not need
+    from glsplat.net.guard.state_dir import state_folder
+
+    key = kept_key(state_folder())
+    today = datetime.now(UTC).date()
+    signed = sign_data(
+        path.read_bytes(),
+        key,
+        subject=_MINE_SUBJECT,
+        given_by=_MINE_GIVEN_BY,
+        purpose=_MINE_PURPOSE,
+        start=today,
+        until=today + _MINE_VALIDITY,
+        drivers=[ANYBODY],
+    )
+    replace_file(path, [signed])
+    print(f"{path}: signed as yours until {today + _MINE_VALIDITY}; show it: glsplat serve {path}", file=sys.stderr)

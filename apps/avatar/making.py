@@ -21,11 +21,10 @@ from glsplat.extras.authoring.finish.cones import ConeConfig, with_cones, withou
 from glsplat.extras.authoring.finish.levels import MIN_LEVEL_SPLATS, with_levels
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.posed import posed_splats
-from glsplat.extras.authoring.importers.bind import bind_to_mesh
+from glsplat.extras.authoring.importers.bind import bind_to_mesh, read_obj_person
 from glsplat.extras.authoring.importers.lam import FOLLOW_MODES, is_lam_zip, load_lam_zip
 from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.extras.authoring.importers.on_smplx import on_smplx
-from glsplat.extras.authoring.importers.scans import read_obj_person
 from glsplat.extras.authoring.light.surfaces import with_surface
 from glsplat.extras.authoring.optimize.mesh_fit import STEPS, fitted_to_mesh
 from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar
@@ -43,7 +42,7 @@ from ..args import add_up, motion_of, whole
 from ..convert import add_quiet, save_with_report
 from ..usage import UsageError, make_folder
 from .person import add_rig, diagnostics, is_gltf, read_any_person
-from .writing import add_notes, check_name, progress_bar, write
+from .writing import add_out, check_name, progress_bar, write
 
 
 def add_make(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +70,7 @@ def add_make(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-surface", action="store_true", help="store no surface: --light has no effect")
     parser.add_argument("--no-cones", action="store_true", help="store no visibility cones (--cull-hidden needs them)")
-    _add_out(parser)
+    add_out(parser)
 
 
 def add_cones(parser: argparse.ArgumentParser) -> None:
@@ -106,7 +105,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         help="what moves a LAM zip's splats: their vertices' weights (default), or all the head, as LAM's own viewer",
     )
     parser.add_argument("--reach", type=float, default=5.0, help="cm a splat may lie off the mesh (default 5)")
-    _add_out(parser)
+    add_out(parser)
 
 
 def add_export(parser: argparse.ArgumentParser) -> None:
@@ -122,12 +121,6 @@ def add_export(parser: argparse.ArgumentParser) -> None:
 def add_motions(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder to write to")
-
-
-def _add_out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
-    add_notes(parser)
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def make(args: argparse.Namespace) -> int:

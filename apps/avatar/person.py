@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.formats.person import read_person
@@ -70,7 +70,7 @@ def is_gltf(path: Path) -> bool:
         return known is not None and known.name in ("glb", "gltf")
 
 
-def _turned(mesh: RiggedMesh, turn: NDArray[np.float64]) -> RiggedMesh:
+def _turned(mesh: RiggedMesh, turn: F64) -> RiggedMesh:
     """Return the mesh rotated by ``turn`` [3, 3] about the origin."""
     if np.array_equal(turn, np.eye(3)):
         return mesh

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError, FormatError
 from glsplat.extras.authoring.check.photos import CheckedPhoto, check_photos, refuse
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
@@ -23,13 +24,14 @@ from glsplat.extras.authoring.reconstruct.photos import (
 )
 from glsplat.extras.authoring.reconstruct.reconstructor import MeshReconstructor, Options, Progress
 from glsplat.extras.authoring.reconstruct.registry import named, names
+from glsplat.meshes import RiggedMesh
 from glsplat.optional import require_package
 
 from ..args import natural, positive
 from ..output import save_png
 from ..ray_tasks import add_ray
 from ..usage import UsageError, make_folder
-from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
+from .writing import add_notes, check_name, notes_of, progress_bar, write
 
 _OTHERS = ("back", "left", "right")
 _DEFAULT = Options()
@@ -53,17 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="splats",
         help="Gaussians, or a textured mesh that other programs open (default %(default)s)",
     )
-    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
-    parser.add_argument("--splats", type=natural, help=f"number of Gaussians (default {_DEFAULT.splats})")
-    parser.add_argument("--seed", type=natural, help=f"same seed, same bytes (default {_DEFAULT.seed})")
-    parser.add_argument(
-        "--steps",
-        type=natural,
-        help=f"of fitting all parameters of the splats, about 40 s for the default {_DEFAULT.steps}; 0: none",
-    )
-    parser.add_argument(
-        "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
-    )
+    add_making(parser)
     parser.add_argument("--mask", type=Path, help="the person in the front picture: white on black, same size")
     for side in _OTHERS:
         parser.add_argument(f"--{side}-mask", type=Path, help=f"the same for the {side} picture")
@@ -94,6 +86,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
     add_ray(parser, "the pictures of a folder")
     add_notes(parser)
+
+
+def add_making(parser: argparse.ArgumentParser, note: str = "") -> None:
+    """Add the options that ``options_of`` reads; ``note`` begins the help of those that concern splats alone."""
+    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
+    parser.add_argument("--splats", type=natural, help=f"{note}number of Gaussians (default {_DEFAULT.splats})")
+    parser.add_argument("--seed", type=natural, help=f"{note}same seed, same bytes (default {_DEFAULT.seed})")
+    steps = f"of fitting all parameters of the splats (default {_DEFAULT.steps}, 40 s for a photograph); 0: none"
+    parser.add_argument("--steps", type=natural, help=note + steps)
+    texture = f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
+    parser.add_argument("--texture", type=natural, help=texture)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -153,24 +156,25 @@ def _one(args: argparse.Namespace) -> int:
             hint = "" if hopeless else "; --anyway goes on all the same"
             raise CaptureError(f"{error}{hint}", error.findings) from None
         _sheet(args, shots, done)
-        if isinstance(done, MeshReconstruction):
-            code = write_mesh(done.mesh, args, began, _facts(done), _guessed(done.mesh.meta))
-        else:
-            avatar = done.avatar
-            if args.cones:
-                from glsplat.extras.authoring.finish.cones import with_cones
+        made = _content(done)
+        if args.cones and isinstance(made, Avatar):
+            from glsplat.extras.authoring.finish.cones import with_cones
 
-                avatar = with_cones(avatar, progress=show)
-            code = write(avatar, args, began, _facts(done), _guessed(avatar.meta))
-            if "hair" in avatar.meta.get("templates", {}) and not head_parts.available():
-                print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
+            made = with_cones(made, progress=show)
+        write(made, args, began, _facts(done), _guessed(made.meta))
+        if "hair" in made.meta.get("templates", {}) and not head_parts.available():
+            print(f"glsplat avatar photo: {head_parts.MISSING}", file=sys.stderr)
     if args.mine:
-        from .mine import sign_mine  # imports the server's key store
+        from .consent import sign_mine  # of another extra
 
         sign_mine(args.out)
     if not args.json:
         _notes(shots, guessed=True)
-    return code
+    return 0
+
+
+def _content(done: Reconstruction | MeshReconstruction) -> Avatar | RiggedMesh:
+    return done.mesh if isinstance(done, MeshReconstruction) else done.avatar
 
 
 def _guessed(meta: Mapping[str, Any]) -> str:
@@ -251,8 +255,7 @@ def _pictures(shots: Mapping[str, CheckedPhoto]) -> list[dict[str, Any]]:
 
 def _facts(done: Reconstruction | MeshReconstruction) -> dict[str, Any]:
     """Return the command's own facts for --json."""
-    meta = done.mesh.meta if isinstance(done, MeshReconstruction) else done.avatar.meta
-    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": meta.get("unseen")}
+    facts: dict[str, Any] = {"made_by": done.made_by, "unseen": _content(done).meta.get("unseen")}
     facts["pictures"] = _pictures(done.shots)
     if done.made is not None:
         views = done.made.fit.views
@@ -271,6 +274,5 @@ def _sheet(
     if args.debug is not None:
         from . import photo_sheet
 
-        result = done.mesh if isinstance(done, MeshReconstruction) else None if done is None else done.avatar
-        drawn = photo_sheet.draw(shots, result, None if done is None else done.made)
+        drawn = photo_sheet.draw(shots, _content(done), done.made) if done else photo_sheet.draw(shots)
         save_png(args.debug / "photo.png", drawn)

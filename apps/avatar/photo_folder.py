@@ -14,7 +14,7 @@ from glsplat.errors import FormatError, GlsplatError
 
 from ..ray_tasks import on_ray
 from ..usage import UsageError, make_folder
-from .mine import sign_mine
+from .consent import sign_mine
 
 _PICTURES = (".jpg", ".jpeg", ".png")
 _ONE_PERSON = ("back", "left", "right", "mask", "back_mask", "left_mask", "right_mask", "height")

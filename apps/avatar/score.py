@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import simplejpeg
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.config import RenderConfig
 from glsplat.data import default_avatar, embedded_file
@@ -126,7 +126,7 @@ def report(args: argparse.Namespace, avatar: Avatar, mesh: RiggedMesh) -> int:
     return 0
 
 
-def _summary(values: NDArray[np.float64], digits: int = 2) -> dict[str, float]:
+def _summary(values: F64, digits: int = 2) -> dict[str, float]:
     return {"min": round(float(values.min()), digits), "mean": round(float(values.mean()), digits)}
 
 

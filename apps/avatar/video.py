@@ -8,18 +8,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from glsplat.avatar import Avatar
 from glsplat.errors import CaptureError
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING, available
-from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.extras.authoring.reconstruct.video import FORMS, FRAMES, MAX_FRAMES, VideoResult, from_video
 from glsplat.extras.authoring.video.film import MIN_FRAMES
 
-from ..args import natural, positive, whole
-from .photo import options_of
-from .writing import add_notes, check_name, notes_of, progress_bar, write, write_mesh
-
-_DEFAULT = Options()
+from ..args import whole
+from .photo import add_making, options_of
+from .writing import add_notes, check_name, notes_of, progress_bar, write
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,27 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=FORMS[0],
         help="a textured mesh that other programs open, or Gaussians (default %(default)s)",
     )
-    parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
     parser.add_argument(
         "--frames",
         type=whole(MIN_FRAMES, MAX_FRAMES),
         default=FRAMES,
         help="frames of a video that are used (default %(default)d)",
     )
-    parser.add_argument(
-        "--texture", type=natural, help=f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
-    )
-    parser.add_argument(
-        "--splats", type=natural, help=f"with --as splats: number of Gaussians (default {_DEFAULT.splats})"
-    )
-    parser.add_argument(
-        "--seed", type=natural, help=f"with --as splats: same seed, same bytes (default {_DEFAULT.seed})"
-    )
-    parser.add_argument(
-        "--steps",
-        type=natural,
-        help=f"with --as splats: of fitting all parameters of the splats (default {_DEFAULT.steps}); 0: none",
-    )
+    add_making(parser, "with --as splats: ")
     parser.add_argument("--anyway", action="store_true", help="use frames in which the check found faults")
     parser.add_argument("--json", action="store_true", help="print what was found and made as JSON")
     add_notes(parser)
@@ -86,16 +68,13 @@ def run(args: argparse.Namespace) -> int:
             hint = "" if args.anyway else "; --anyway goes on all the same, where it can"
             raise CaptureError(f"{error}{hint}", error.findings) from None
     words = f"; {made.unseen:.0%} of the surface is guessed"
-    if isinstance(made.content, Avatar):
-        code = write(made.content, args, began, _facts(made), words)
-    else:
-        code = write_mesh(made.content, args, began, _facts(made), words)
+    write(made.content, args, began, _facts(made), words)
     if not args.json:
         for line in made.left_out:
             print(line)
         if made.problem:
             print(made.problem)
-    return code
+    return 0
 
 
 def _facts(made: VideoResult) -> dict[str, Any]:

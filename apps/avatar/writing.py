@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -35,6 +36,13 @@ def add_notes(command: argparse.ArgumentParser) -> None:
         command.add_argument(f"--{key}", help=f"{what}, kept in the file")
 
 
+def add_out(parser: argparse.ArgumentParser) -> None:
+    """Add --out, the options of ``add_notes`` and --json."""
+    parser.add_argument("-o", "--out", type=Path, required=True, help="avatar to write (.glb)")
+    add_notes(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
 def notes_of(args: argparse.Namespace) -> dict[str, str]:
     """Return the metadata of the options of ``add_notes``."""
     return {key: getattr(args, key) for key in _NOTES if getattr(args, key)}
@@ -64,46 +72,31 @@ def check_name(out: Path) -> None:
 
 
 def write(
-    avatar: Avatar, args: argparse.Namespace, began: float, more: Mapping[str, Any] | None = None, words: str = ""
+    made: Avatar | RiggedMesh,
+    args: argparse.Namespace,
+    began: float,
+    more: Mapping[str, Any] | None = None,
+    words: str = "",
 ) -> int:
-    """Write the avatar to --out with its metadata and print a summary; ``more`` for --json, ``words`` for text."""
-    meta: dict[str, Any] = dict(avatar.meta)
-    smplx = avatar.skeleton.names == JOINT_NAMES
-    meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(avatar.skeleton)} joints")
-    meta.setdefault("consent", "not stated")
-    save(replace(avatar, meta=meta | notes_of(args)), args.out)
-    facts = {
-        "out": str(args.out),
-        "splats": len(avatar.splats),
-        "bytes": args.out.stat().st_size,
-        "weight_lost": round(avatar.skin.lost, 6),
-        "weights_repaired": avatar.skin.repaired,
-        "seconds": round(time.perf_counter() - began, 1),
-    }
-    if args.json:
-        print(json.dumps(facts | dict(more or {})))
-    else:
-        made = f"{facts['splats']} splats, {args.out.stat().st_size / 1e6:.2f} MB, {facts['seconds']} s"
-        print(f"{args.out}: {made}{words}")
-    return 0
+    """Write an avatar or a textured mesh to --out with its metadata and print a summary; 0 on success.
 
-
-def write_mesh(
-    mesh: RiggedMesh, args: argparse.Namespace, began: float, more: Mapping[str, Any] | None = None, words: str = ""
-) -> int:
-    """Write a textured mesh to --out as ``write`` does."""
-    save_gltf_mesh(replace(mesh, meta=dict(mesh.meta) | notes_of(args)), args.out)
-    texture = max((part.texture for part in mesh.parts), key=lambda texture: texture.size)
-    facts = {
-        "out": str(args.out),
-        "triangles": len(mesh.faces),
-        "texture": [texture.shape[1], texture.shape[0]],
-        "bytes": args.out.stat().st_size,
-        "seconds": round(time.perf_counter() - began, 1),
-    }
-    if args.json:
-        print(json.dumps(facts | dict(more or {})))
+    ``began`` is the start on ``time.perf_counter``; ``more`` is added for --json, ``words`` to the text.
+    """
+    if isinstance(made, Avatar):
+        smplx = made.skeleton.names == JOINT_NAMES
+        meta = dict(made.meta)
+        meta.setdefault("body_model", "SMPL-X joints (55)" if smplx else f"{len(made.skeleton)} joints")
+        meta.setdefault("consent", "not stated")
+        save(replace(made, meta=meta | notes_of(args)), args.out)
+        facts: dict[str, Any] = {"out": str(args.out), "splats": len(made.splats), "bytes": args.out.stat().st_size}
+        facts |= {"weight_lost": round(made.skin.lost, 6), "weights_repaired": made.skin.repaired}
+        text = f"{len(made.splats)} splats, {facts['bytes'] / 1e6:.2f} MB"
     else:
-        size = f"{texture.shape[1]} x {texture.shape[0]} texels, {facts['bytes'] / 1e6:.2f} MB"
-        print(f"{args.out}: {len(mesh.faces)} triangles, {size}, {facts['seconds']} s{words}")
+        save_gltf_mesh(replace(made, meta=dict(made.meta) | notes_of(args)), args.out)
+        height, width = max((part.texture.shape[:2] for part in made.parts), key=math.prod)
+        facts = {"out": str(args.out), "triangles": len(made.faces), "texture": [width, height]}
+        facts["bytes"] = args.out.stat().st_size
+        text = f"{len(made.faces)} triangles, {width} x {height} texels, {facts['bytes'] / 1e6:.2f} MB"
+    facts["seconds"] = round(time.perf_counter() - began, 1)
+    print(json.dumps(facts | dict(more or {})) if args.json else f"{args.out}: {text}, {facts['seconds']} s{words}")
     return 0

@@ -9,8 +9,8 @@ import pytest
 import apps.cli as cli
 from apps.avatar.making import counts_of
 from glsplat.extras.authoring.finish.cones import ConeConfig
-from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
 from glsplat.extras.authoring.finish.level_measure import MeasureConfig
+from glsplat.extras.authoring.finish.levels import FittedConfig
 from glsplat.extras.authoring.optimize.target_pictures import ViewConfig
 from glsplat.formats import all_formats, load, save
 from tests.formats.scenes import random_avatar

@@ -15,8 +15,8 @@ from apps.avatar import making as made
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.compute.compiled import NUMBA_MISSING
 from glsplat.extras.authoring.finish import levels as making
-from glsplat.extras.authoring.finish.fitted_levels import FittedConfig
 from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.finish.levels import FittedConfig
 from glsplat.extras.authoring.geometry.posed import posed_splats
 from glsplat.formats import load, save
 from glsplat.skinning.pose import Pose
@@ -108,18 +108,18 @@ def test_levels_of_avatars_are_fitted_and_those_of_scenes_merged(
 ) -> None:
     called: list[tuple[Any, ...]] = []
 
-    def fitted_levels(avatar: Avatar, counts: Any, seed: int, config: FittedConfig, show: Any) -> tuple[Avatar, ...]:
+    def fitted_levels(avatar: Avatar, counts: Any, seed: int, config: FittedConfig, show: Any) -> list[Avatar]:
         called.append(("fitted", list(counts), seed, config.steps, avatar.levels))
-        return tuple(merged(avatar, count) for count in counts)
+        return [merged(avatar, count) for count in counts]
 
-    def with_merged_levels(scene: Any, counts: Any, *words: Any) -> Any:
+    def covering_levels(scene: Any, counts: Any, *words: Any) -> list[Any]:
         called.append(("merged", counts))
-        return replace(scene, levels=())
+        return []
 
     def measured(finest: Any, levels: Any, *words: Any) -> tuple[Level[Any], ...]:
         return tuple(Level(level, 100.0 / (number + 1)) for number, level in enumerate(levels))
 
-    for stub in (fitted_levels, with_merged_levels, measured):
+    for stub in (fitted_levels, covering_levels, measured):
         monkeypatch.setattr(making, stub.__name__, stub)
     save(cloud(300), tmp_path / "s.ply")
     out, count = tmp_path / "out.glb", len(load(many).splats)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from glsplat.arrays import F64
-from glsplat.extras.authoring.fit.standing.arms import ArmMixture
+from glsplat.extras.authoring.fit.prior import ArmMixture
 from tools.data.sizes import forward
 
 CREDIT = (

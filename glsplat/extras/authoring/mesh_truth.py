@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from glsplat.arrays import count, instance, own, pixels
+from glsplat.arrays import F32, count, instance, own, pixels
 from glsplat.camera import Camera
 from glsplat.config import DebugConfig, Output, RenderConfig
 from glsplat.errors import GlsplatError
@@ -100,7 +100,7 @@ class MeshTruth:
 class _MeshTruthRenderer(Renderer):
     """Renderer of one mesh, whose vertices are lit by ``factors`` [N, 3]."""
 
-    factors: NDArray[np.float32] | None = None
+    factors: F32 | None = None
 
     def _update(self, cameras: Sequence[Camera], pose: Pose | None) -> list[Camera]:
         placed = super()._update(cameras, pose)

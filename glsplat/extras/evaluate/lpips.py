@@ -18,7 +18,7 @@ from glsplat.arrays import F32
 from glsplat.errors import FormatError, GlsplatError, one_line
 from glsplat.extras.authoring.models.store import path_of
 from glsplat.extras.authoring.networks.onnx import Graph
-from glsplat.extras.authoring.networks.unpickle import ListedUnpickler
+from glsplat.extras.authoring.networks.torch_file import ListedUnpickler
 from glsplat.extras.evaluate.metrics import checked
 
 _SHIFT = np.array([-0.030, -0.088, -0.188])  # of pictures in [-1, 1], as the networks were trained

@@ -131,7 +131,7 @@ def dense_person(path: Path, count: int, size: int) -> Subject:
     The reference has the weights of the nearest surface point: of its triangle's corners, which have four joints each.
     """
     # imported here: ``glsplat selftest`` has no SciPy
-    from glsplat.extras.authoring.geometry.nearest import nearest_weights
+    from glsplat.extras.authoring.geometry.surface_points import nearest_weights
     from glsplat.extras.authoring.sample.surface import make_avatar
 
     mesh = read_person(path)

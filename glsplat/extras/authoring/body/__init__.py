@@ -1,1 +1,1 @@
-"""The embedded body that all people are fitted with: its mesh, its face, the lining of its mouth, its segments."""
+"""The embedded body that all people are fitted with: mesh, face, teeth, lining of the mouth, and segments."""

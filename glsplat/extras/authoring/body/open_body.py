@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from glsplat.arrays import frozen
+from glsplat.arrays import F64, frozen
 from glsplat.extras.authoring.compute.threads import locked_cached_property
 from glsplat.skinning.skin import strongest_joint
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 BETAS = 10

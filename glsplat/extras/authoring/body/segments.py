@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from glsplat.arrays import frozen
+from glsplat.arrays import F64, frozen
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -44,7 +44,7 @@ def arm_layers(body: Body) -> NDArray[np.intp]:
     return frozen(layer_of(arm_segments(body)))
 
 
-def hand_weights(body: Body) -> NDArray[np.float64]:
+def hand_weights(body: Body) -> F64:
     """Return [V] the weights of both hands' joints."""
     return np.asarray(sum(joint_weights(body, side, *HANDS) for side in ("left", "right")))
 
@@ -65,7 +65,7 @@ def trunk_vertices(body: Body) -> NDArray[np.bool_]:
     return np.asarray(np.array([any(word in name for word in trunk) for name in JOINT_NAMES])[body.part])
 
 
-def trunk_half_width(vertices: NDArray[np.float64], trunk: NDArray[np.bool_]) -> NDArray[np.float64]:
+def trunk_half_width(vertices: F64, trunk: NDArray[np.bool_]) -> F64:
     """Return half the width of the ``trunk`` [V] at each vertex's height [V], metres, in the zero pose."""
     rows = np.round(vertices[:, 1] / 0.03).astype(np.intp)
     rows -= rows.min()
@@ -82,7 +82,7 @@ def mirror_vertices() -> NDArray[np.intp]:
     return frozen(np.asarray(cKDTree(body.vertices).query(body.vertices * (-1.0, 1.0, 1.0))[1], np.intp))
 
 
-def joint_weights(body: Body, side: str, *names: str) -> NDArray[np.float64]:
+def joint_weights(body: Body, side: str, *names: str) -> F64:
     """Return the total skinning weight [V] of the joints of a ``side`` whose names contain one of ``names``."""
     chosen = np.array([joint.startswith(f"{side}_") and any(n in joint for n in names) for joint in JOINT_NAMES])
     return np.asarray((body.skin_weights * chosen[body.skin_joints]).sum(axis=1))

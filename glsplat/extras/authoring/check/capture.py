@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.check.finding import Finding, note
-from glsplat.extras.authoring.check.posture import LYING, arms, cut_off, lying, turned
-from glsplat.extras.authoring.check.sharpness import blur_of
+from glsplat.arrays import F32, F64
+from glsplat.extras.authoring.check.posture import LYING, Finding, arms, cut_off, lying, note, turned
 from glsplat.extras.authoring.compute.threads import run_in_background
 from glsplat.extras.authoring.networks.face import face_probability
 from glsplat.extras.authoring.networks.head_parts import head_parts
@@ -25,11 +24,11 @@ from glsplat.extras.authoring.networks.person import (
 )
 from glsplat.extras.authoring.segment.mask import person_mask, with_head
 
+_MAX_HEIGHT_PX = 1000  # of the person; larger ones are reduced, since an avatar shows no more detail
+_BLUR_PX = 9  # width of the second blur
 _GOOD_AGREEMENT, _POOR_AGREEMENT = 0.85, 0.75  # of a mask with the body network
 _SATURATED_LEVEL = 253  # of 255
 _SEVERAL = Finding("several", "more than one person is in the picture; show one person alone")
-
-
 # presences are the networks' probabilities
 _MIN_BODY_PRESENCE = 0.99  # people have more, dolls, animals and drawings less
 _MIN_FACE_PRESENCE = 0.5  # in a picture from the front
@@ -38,7 +37,6 @@ _SURE_FACE_PRESENCE = 0.9  # only faces have more
 _MIN_BODY_PRESENCE_WITH_FACE = 0.95  # together with a sure face
 _MIN_PARTIAL_PRESENCE = 0.5  # of a body that may be cut in half
 _MIN_SECOND_PRESENCE = 0.95  # of a second body, which both networks must find
-
 _MIN_HEIGHT_PX = 400.0  # of the person
 _MIN_FACE_DISTANCE_FRACTION = 0.08  # of the picture's width, between two faces of a group
 _MIN_SECOND_FRACTION = 0.12  # area of a second person, of the first one's
@@ -48,6 +46,33 @@ _MAX_WHITE_FRACTION = 0.12  # of the person's pixels, plain white
 _MAX_BURNT_FACE_FRACTION = 0.3  # of the face's pixels, with a saturated channel
 _MAX_WASHED_FRACTION = 0.25  # of the person's pixels, with a saturated channel, if half of the room's have one
 _MIN_BRIGHTNESS_LEVEL = 52.0  # of 255, of the person's brighter parts
+
+
+def blur_of(picture: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:
+    """Return 0 for a sharp picture to 1 for a completely blurred one, inside ``mask`` [H, W] and along its outline.
+
+    A further blur removes most differences between neighbours of a sharp picture and few of a blurred one (Crete et
+    al., The Blur Effect, 2007). The worse of the two directions counts, because hands shake in one.
+    """
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return 1.0
+    area = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    grey = cv2.cvtColor(np.ascontiguousarray(picture[area]), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    inside = mask[area].astype(np.float32)
+    scale = _MAX_HEIGHT_PX / grey.shape[0]
+    if scale < 1:
+        size = max(round(grey.shape[1] * scale), 2), _MAX_HEIGHT_PX
+        grey, inside = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (grey, inside))
+    inside = cv2.dilate(inside, np.ones((5, 5), np.uint8)) > 0.5
+    values = []
+    for axis, window in ((0, (1, _BLUR_PX)), (1, (_BLUR_PX, 1))):
+        before = np.abs(np.diff(grey, axis=axis))
+        after = np.abs(np.diff(cv2.blur(grey, window), axis=axis))
+        used = np.take(inside, range(1, inside.shape[axis]), axis=axis)
+        total = float(before[used].sum())
+        values.append(1 - float(np.maximum(before - after, 0)[used].sum()) / total if total > 0 else 1.0)
+    return max(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +85,13 @@ class Capture:
     """[H, W] the person; without true pixels if nobody is found."""
 
     @property
-    def good(self) -> bool:
-        """There are no findings."""
-        return not self.findings
-
-    @property
     def refused(self) -> bool:
         """A finding refuses the picture."""
         return any(finding.refusal for finding in self.findings)
 
 
 def check_capture(
-    picture: NDArray[np.uint8],
-    view: str | None = "front",
-    known_mask: NDArray[np.bool_] | None = None,
+    picture: NDArray[np.uint8], view: str | None = "front", known_mask: NDArray[np.bool_] | None = None
 ) -> Capture:
     """Check a picture (RGB uint8 [H, W, 3]) of one of SIDES. Without a person the check ends after that finding.
 
@@ -115,7 +133,7 @@ def check_capture(
     return Capture(tuple(finding for finding in found if finding is not None), person, mask)
 
 
-def _nobody(picture: NDArray[np.uint8], person: DetectedPerson | None, people: NDArray[np.float32]) -> Finding:
+def _nobody(picture: NDArray[np.uint8], person: DetectedPerson | None, people: F32) -> Finding:
     """Return the finding if no whole, upright person is found: a group, half a person, a turned picture, or nobody."""
     sure_face = person is not None and person.face.presence > _SURE_FACE_PRESENCE
     if len(_faces(picture, people)) > 1 or (
@@ -137,7 +155,7 @@ def _nobody(picture: NDArray[np.uint8], person: DetectedPerson | None, people: N
     return Finding("nobody", "nobody is found in the picture; show one whole person, upright")
 
 
-def _faces(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> list[float]:
+def _faces(picture: NDArray[np.uint8], people: F32) -> list[float]:
     """Return the horizontal positions of visible faces, as fractions of the picture's width.
 
     The body network finds one person and fails on a row of people, so halves and thirds of the row are searched.
@@ -164,7 +182,7 @@ def _body_with_face(picture: NDArray[np.uint8], start: float, end: float) -> Det
     return body
 
 
-def _is_somebody(picture: NDArray[np.uint8], person: DetectedPerson, people: NDArray[np.float32]) -> bool:
+def _is_somebody(picture: NDArray[np.uint8], person: DetectedPerson, people: F32) -> bool:
     """Return whether two networks agree on a person, or a face is sure; each alone has false positives."""
     body = person.body
     own = body.mask > 0.5
@@ -178,7 +196,7 @@ def _is_somebody(picture: NDArray[np.uint8], person: DetectedPerson, people: NDA
     return bool(shared > 0.5 and own.mean() > 0.002 and (sure or inside.mean() > 0.6))
 
 
-def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+def _inside(mask: NDArray[np.bool_], points: F64, reach: float) -> NDArray[np.bool_]:
     """Return whether points [N, 2] lie in the mask or within ``reach`` pixels of it; false outside the picture."""
     distance = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     column, row = np.floor(points).astype(int).T
@@ -186,7 +204,7 @@ def _inside(mask: NDArray[np.bool_], points: NDArray[np.float64], reach: float) 
     return valid & (distance[row.clip(0, mask.shape[0] - 1), column.clip(0, mask.shape[1] - 1)] <= reach)
 
 
-def _several(picture: NDArray[np.uint8], person: DetectedPerson, people: NDArray[np.float32]) -> Finding | None:
+def _several(picture: NDArray[np.uint8], person: DetectedPerson, people: F32) -> Finding | None:
     """Return the finding of a second person, in the foreground outside the first person's mask.
 
     The network overlooks distant people beside a large one, so the search is repeated with the first person painted
@@ -204,16 +222,13 @@ def _several(picture: NDArray[np.uint8], person: DetectedPerson, people: NDArray
     return _SEVERAL if _faces_beside(without, near, own) else None
 
 
-def _foreground(picture: NDArray[np.uint8], people: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _foreground(picture: NDArray[np.uint8], people: F32) -> NDArray[np.bool_]:
     """Return the mask [H, W] of ``people``, the result of ``people_mask``."""
     return enclosing_square(picture).paste(people, picture.shape[:2]) > 0.5
 
 
 def _is_second(
-    picture: NDArray[np.uint8],
-    rest: NDArray[np.bool_],
-    near: NDArray[np.bool_],
-    own: NDArray[np.bool_],
+    picture: NDArray[np.uint8], rest: NDArray[np.bool_], near: NDArray[np.bool_], own: NDArray[np.bool_]
 ) -> bool:
     """Return whether one of the three largest components of ``rest`` is a person mostly outside ``near``."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8))

@@ -14,8 +14,7 @@ from glsplat.extras.authoring.check.capture import Capture, check_capture, is_ou
 from glsplat.extras.authoring.compute.threads import one_blas_thread
 from glsplat.extras.authoring.networks.people import SIDES, find_person
 from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
-from glsplat.extras.authoring.segment.mask import person_mask
-from glsplat.extras.authoring.segment.mask_file import MaskSource, read_mask
+from glsplat.extras.authoring.segment.mask import MaskSource, person_mask, read_mask
 
 Mask = NDArray[np.bool_]
 PhotoSource = str | os.PathLike[str] | Photo

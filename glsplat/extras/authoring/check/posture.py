@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.check.finding import Finding, note
 from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson, degrees_between
 from glsplat.extras.authoring.networks.person import LANDMARKS
 
@@ -17,13 +18,36 @@ _MIN_VISIBILITY = 0.5  # of a landmark that is in the picture
 _MIN_ANKLE_VISIBILITY = 0.6  # if the person reaches the picture's lower edge
 _MIN_FOREHEAD_FRACTION = 0.065  # height of the picture above the nose, of the length from nose to ankles
 _MAX_CUT_SIDE_FRACTION = 0.5  # of the person's height, at the picture's left or right edge
-
 _SIDES = ("left", "right")
 _FOOT = ("ankle", "heel", "foot_index")
 _HAND = ("wrist", "index", "pinky", "thumb")
 _LEGS = (("hip", "waist"), ("knee", "thighs"), ("ankle", "shins"))
 _LEAVE_ROOM = "leave room on all four sides"
 _ALONG, _HIDDEN = "hangs along the body", "hidden"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A reason to refuse a picture, or a note on parts of its avatar that are guessed."""
+
+    code: str
+    """Key for programs: nobody, several, cut_off, small, lying, turned, face, arms, blurred, bright, dark or mask."""
+    text: str
+    """One line for people: the problem, and the remedy."""
+    refusal: bool = True
+    """The picture is refused; otherwise the finding is a note."""
+
+    @property
+    def kind(self) -> str:
+        """``refusal`` or ``note``."""
+        return "refusal" if self.refusal else "note"
+
+
+def note(code: str, text: str) -> Finding:
+    """Return a finding that does not refuse the picture."""
+    return Finding(code, text, refusal=False)
+
+
 LYING = Finding("lying", "the person does not stand upright in the picture; turn the picture, and stand straight")
 
 

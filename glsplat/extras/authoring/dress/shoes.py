@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import lengths
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 _SIDES = (("left", 1.0), ("right", -1.0))
 _SOCK_HEIGHT_M = 0.18  # above the sole: only a template's socks reach so high

@@ -1,4 +1,4 @@
-"""Add details finer than a mesh's texture as splats: lashes, the upper lid's shadow, a catch light."""
+"""Add details finer than a mesh's texture as splats: lashes, and the shadow of the upper lid."""
 
 from __future__ import annotations
 
@@ -9,18 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.faces.eyeballs import Eyeball
-from glsplat.extras.authoring.faces.openings import LidEdges, Opening, directions
+from glsplat.extras.authoring.faces.eyes import Eyeball, LidEdges, Opening, directions
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import matrix_quaternions, unit_vectors
-from glsplat.skinning.shapes import BEND, Shapes
 from glsplat.skinning.skin import Skin
 from glsplat.splats import Splats
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _UPPER_LASHES, _LOWER_LASHES = 34, 18
@@ -30,11 +28,8 @@ _UPPER_LENGTH_M, _LOWER_LENGTH_M, _LASH_SIGMA_M = 0.0085, 0.0045, 0.00011
 LASH_RGB, LID_SHADOW_RGB = np.array([22, 15, 12]) / 255, np.array([46, 28, 22]) / 255
 # degrees below the upper lid's edge, and opacities, of the rows of its shadow
 _SHADOW_ROWS = ((-1.0, 0.55), (3.0, 0.34), (7.0, 0.18))
-_SHADOW_SIGMAS_M, _GLINT_SIGMAS_M = (0.0011, 0.0007, 0.00008), (0.00055, 0.00055, 0.00008)
-_SHADOW_GAP_M, _GLINT_GAP_M = 0.0002, 0.0004  # from the eyeball
-_GLINT_ANGLES_RAD = np.radians((10.0, 13.0))  # left and up: where an eye mirrors a window
-_GLINT_LID_GAP_RAD = np.radians(5)  # below the lid's edge, at least
-_GLINT_RETREAT_M = 0.008  # into the eye, in a blink
+_SHADOW_SIGMAS_M, _SHADOW_GAP_M = (0.0011, 0.0007, 0.00008), 0.0002  # the gap from the eyeball
+_OPACITY_FACTOR, _LENGTH_FACTOR = 0.45, 0.75  # of lashes: photographs show some already
 
 
 class ExtraSplats(NamedTuple):
@@ -48,45 +43,34 @@ class ExtraSplats(NamedTuple):
     faces: Indices
 
 
-def with_lashes(
-    avatar: Avatar,
-    mesh: RiggedMesh,
-    eyes: Sequence[Opening],
-    seed: int = 0,
-    *,
-    strength: float = 1.0,  # of lashes and shadows
-    length: float = 1.0,  # of lashes
-    light: bool = True,  # in the eyes; photographs have their own
-) -> Avatar:
-    """Return the avatar, made from ``mesh``, with lashes, shadows under the upper lids and a light in its eyes.
+def with_lashes(avatar: Avatar, mesh: RiggedMesh, eyes: Sequence[Opening], seed: int = 0) -> Avatar:
+    """Return the avatar, made from ``mesh``, with lashes and shadows under the upper lids of ``eyes``.
 
-    They follow the lids' expressions. The light keeps its place when the eye turns, as mirrors do, and disappears in a
-    blink. Levels are dropped.
+    They follow the lids' expressions. Levels are dropped.
     """
-    rng = np.random.default_rng((seed, 7))
-    parts, shadows, glints, lit_joints = [], [], [], []
-    for ball, edges in eyes:
-        parts += [_lashes(ball, edges, up, rng, length) for up in (True, False)]
-        shadows.append(_shadow(ball, edges))
-        if light:
-            glints.append(_glint(ball, edges))
-            lit_joints.append(ball.joint)
-    if not parts:
+    if not eyes:
         return avatar
-    pieces = [*parts, *shadows, *glints]
-    splats = ExtraSplats(*(np.concatenate([getattr(one, key) for one in pieces]) for key in ExtraSplats._fields))
-    splats = splats._replace(opacities=splats.opacities * strength)
-    made = add_splats(avatar, mesh, splats)
-    if made.shapes is None:
-        return made
-    first = len(made.splats) - len(glints)
-    first_shadow = first - sum(len(one.means) for one in shadows)
-    bends = np.where((made.shapes.rows >= first_shadow)[:, None, None], 0, made.shapes.bends)  # lids stretch sixfold
-    shapes = replace(made.shapes, bends=bends)
-    return replace(made, shapes=_hide_in_blinks(shapes, first, lit_joints) if glints else shapes)
+    rng = np.random.default_rng((seed, 7))
+    lashes = [_lashes(ball, edges, up, rng) for ball, edges in eyes for up in (True, False)]
+    shadows = joined_splats([_shadow(ball, edges) for ball, edges in eyes])
+    splats = joined_splats([*lashes, shadows])
+    made = add_splats(avatar, mesh, splats._replace(opacities=splats.opacities * _OPACITY_FACTOR))
+    return made if made.shapes is None else unbent(made, len(made.splats) - len(shadows.means))
 
 
-def _lashes(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator, length_factor: float) -> ExtraSplats:
+def joined_splats(parts: Sequence[ExtraSplats]) -> ExtraSplats:
+    """Return all splats of ``parts``, in their order."""
+    return ExtraSplats(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def unbent(avatar: Avatar, first: int) -> Avatar:
+    """Return the avatar with expressions that move its splats from ``first`` on without stretching them."""
+    assert avatar.shapes is not None
+    stiff = (avatar.shapes.rows >= first)[:, None, None]
+    return replace(avatar, shapes=replace(avatar.shapes, bends=np.where(stiff, 0, avatar.shapes.bends)))
+
+
+def _lashes(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generator) -> ExtraSplats:
     """Return two splats for each lash: the first half stands off, the second curls up (or down)."""
     count = _UPPER_LASHES if upper else _LOWER_LASHES
     at, face = (edges.upper_at, edges.upper_face) if upper else (edges.lower_at, edges.lower_face)
@@ -100,7 +84,7 @@ def _lashes(ball: Eyeball, edges: LidEdges, upper: bool, rng: np.random.Generato
     fan = np.stack([0.7 * spread + rng.normal(0, 0.08, count), np.full(count, 0.15 * up), np.zeros(count)], axis=1)
     first = unit_vectors(unit_vectors(root - ball.centre) + fan)
     second = unit_vectors(first + np.array([0, 0.75 * up, 0]))
-    longest = length_factor * (_UPPER_LENGTH_M if upper else _LOWER_LENGTH_M)
+    longest = _LENGTH_FACTOR * (_UPPER_LENGTH_M if upper else _LOWER_LENGTH_M)
     length = longest * rng.uniform(0.75, 1.1, count)[:, None] * (1 - 0.7 * spread[:, None] ** 2)
     joint = root + 0.5 * length * first
     along = np.concatenate([first, second])
@@ -130,41 +114,6 @@ def _shadow(ball: Eyeball, edges: LidEdges) -> ExtraSplats:
     return ExtraSplats(np.concatenate(means), axes, scales, np.concatenate(opacity), rgb, np.concatenate(face))
 
 
-def _glint(ball: Eyeball, edges: LidEdges) -> ExtraSplats:
-    """Return one bright spot before the iris, below the lid's edge."""
-    left, up = _GLINT_ANGLES_RAD
-    up = min(float(up), float(edges.upper[len(edges.side) // 2]) - _GLINT_LID_GAP_RAD)
-    way = directions(np.array([left]), np.array([up]))
-    axes = axes_along(np.cross(np.array([[0.0, 1, 0]]), way), way)
-    face = edges.upper_face[len(edges.side) // 2][None]
-    scales = np.array([_GLINT_SIGMAS_M])
-    mean = ball.centre + (ball.radius + _GLINT_GAP_M) * way
-    return ExtraSplats(mean, axes, scales, np.array([0.85]), np.ones((1, 3)), face)
-
-
-def _hide_in_blinks(shapes: Shapes, first: int, joints: Sequence[str]) -> Shapes:
-    """Return the shapes without entries for the lights, except that blinks draw them into the eye."""
-    kept = shapes.rows < first
-    rows, targets, moves = [shapes.rows[kept]], [shapes.targets[kept].astype(np.int64)], [shapes.metres[kept]]
-    bends = [shapes.bends[kept] * BEND]
-    for number, joint in enumerate(joints[: shapes.splats - first]):
-        name = "eyeBlinkLeft" if joint.startswith("left") else "eyeBlinkRight"
-        if name in shapes.names:
-            rows.append(np.array([first + number]))
-            targets.append(np.array([shapes.names.index(name)]))
-            moves.append(np.array([[0, 0, -_GLINT_RETREAT_M]], np.float32))
-            bends.append(np.zeros((1, 2, 3)))
-    return Shapes.create(
-        shapes.names,
-        shapes.splats,
-        splats=np.concatenate(rows),
-        targets=np.concatenate(targets),
-        moves=np.concatenate(moves),
-        bends=np.concatenate(bends),
-        limits=shapes.limits,
-    )
-
-
 def add_splats(avatar: Avatar, mesh: RiggedMesh, splats: ExtraSplats) -> Avatar:
     """Return the avatar with splats bound to the middles of triangles of ``mesh``."""
     own = avatar.splats
@@ -173,11 +122,7 @@ def add_splats(avatar: Avatar, mesh: RiggedMesh, splats: ExtraSplats) -> Avatar:
     corners = mesh.faces[splats.faces]
     count, wide = len(splats.faces), len(mesh.skeleton)
     dense = np.zeros((count, wide))
-    for corner in range(3):
-        for one in range(mesh.joints.shape[1]):
-            np.add.at(
-                dense, (np.arange(count), mesh.joints[corners[:, corner], one]), mesh.weights[corners[:, corner], one]
-            )
+    np.add.at(dense, (np.arange(count)[:, None, None], mesh.joints[corners]), mesh.weights[corners])
     skin = Skin.create(np.broadcast_to(np.arange(wide), dense.shape), dense, wide, avatar.skin.joints.shape[1])
     extra_avatar = Avatar(more, avatar.skeleton, skin)
     if mesh.morphs is not None:

@@ -9,22 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import open_body
-from glsplat.extras.authoring.body.open_face import first_vertices, open_face, with_mouth
+from glsplat.extras.authoring.body.open_face import mouth_lining, open_face, with_mouth
+from glsplat.extras.authoring.body.teeth import ToothTiles, tile_teeth
 from glsplat.extras.authoring.compute.threads import map_threads
-from glsplat.extras.authoring.faces.lashes import ExtraSplats, add_splats, axes_along
-from glsplat.extras.authoring.faces.tiles import ToothTiles, tile_teeth
-from glsplat.extras.authoring.geometry.nearest import nearest_on
+from glsplat.extras.authoring.faces.lashes import ExtraSplats, add_splats, axes_along, joined_splats, unbent
+from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.extras.authoring.sample.cells import SamplerConfig
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.surface import MIN_SPLATS, make_avatar
-from glsplat.meshes import MeshPart, RiggedMesh
+from glsplat.meshes import RiggedMesh
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import SH_C0
-
-F64 = NDArray[np.float64]
 
 _SAMPLER = SamplerConfig(samples=24, candidates=8, rounds=8, probe=0, color_weight=1.2)
 _MIN_NORMAL_Z = -0.15  # surface facing farther back is never visible
@@ -74,14 +71,14 @@ def with_teeth(avatar: Avatar, mesh: RiggedMesh, count: int, photographed: int, 
     """
     lined, inside = _darken_lining(avatar, mesh)
     shaded = _with_lip_shadows(lined, mesh)
-    furnished = with_mouth(mesh, first_vertices(mesh))
-    teeth = next(one for one in furnished.parts if one.name == "teeth")
+    furnished = with_mouth(mesh)
+    teeth = furnished.parts[-1]
     light = _tooth_brightness(avatar, mesh)
-    whole = add_splats(shaded, furnished, _tooth_splats(furnished, teeth, light))
+    whole = add_splats(shaded, furnished, _tooth_splats(furnished, light))
     left = max(count - (len(whole.splats) - len(avatar.splats)), MIN_SPLATS)
     one, other, third = (furnished.vertices[teeth.faces[:, k]] for k in range(3))
     facing = np.cross(other - one, third - one)
-    visible = ~_enamel() & (facing[:, 2] > _MIN_NORMAL_Z * np.linalg.norm(facing, axis=1))
+    visible = ~open_face().tooth & (facing[:, 2] > _MIN_NORMAL_Z * np.linalg.norm(facing, axis=1))
     dimmed = np.rint(teeth.texture * (light, light, light, 1)).astype(np.uint8)
     gums = replace(teeth, faces=teeth.faces[visible], uv=teeth.uv[visible], texture=dimmed)
     made = merge_avatars(whole, make_avatar(replace(furnished, parts=(gums,)), left, seed, _SAMPLER))
@@ -107,25 +104,16 @@ def _match_saturation(avatar: Avatar, some: NDArray[np.integer], photographed: i
     return replace(avatar, splats=replace(avatar.splats, sh=sh))
 
 
-def _enamel() -> NDArray[np.bool_]:
-    """Return [F] which of the faces that ``with_mouth`` adds are teeth."""
-    face = open_face()
-    return face.tooth[face.on_one_jaw]
-
-
 @lru_cache(maxsize=1)
 def _tiles() -> ToothTiles:
     face = open_face()
-    return tile_teeth(face.mouth, face.faces[face.on_one_jaw], face.tooth[face.on_one_jaw], face.lower)
+    return tile_teeth(face.mouth, face.faces, face.tooth, face.lower)
 
 
-def _tooth_splats(furnished: RiggedMesh, teeth: MeshPart, light: float) -> ExtraSplats:
-    """Return the teeth of the mesh as splats, from ``_tiles``."""
-    tiles, first = _tiles(), 0
-    for part in furnished.parts:
-        if part is teeth:
-            break
-        first += len(part.faces)
+def _tooth_splats(furnished: RiggedMesh, light: float) -> ExtraSplats:
+    """Return the teeth of a mesh of ``with_mouth`` as splats, from ``_tiles``."""
+    tiles, teeth = _tiles(), furnished.parts[-1]
+    first = len(furnished.faces) - len(teeth.faces)
     means = np.einsum("nk,nkc->nc", tiles.shares, furnished.vertices[teeth.faces[tiles.faces]])
     scales = np.concatenate([tiles.scales, np.full((len(means), 1), _TOOTH_SIGMA_M)], axis=1)
     means += tiles.facing * np.where(tiles.opacity < 0.9, _TOOTH_SIGMA_M, 0)[:, None]  # seams lie before the teeth
@@ -182,8 +170,4 @@ def _with_lip_shadows(avatar: Avatar, mesh: RiggedMesh) -> Avatar:
             axes, scales = np.tile(np.eye(3), (many, 1, 1)), np.tile(_SHADOW_SIGMAS_M, (many, 1))
             rgb = np.tile(_LIP_SHADOW_RGB, (many, 1))
             parts.append(ExtraSplats(means, axes, scales, np.full(many, dark), rgb, face))
-    shadows = ExtraSplats(*(np.concatenate([getattr(one, key) for one in parts]) for key in ExtraSplats._fields))
-    made = add_splats(avatar, mesh, shadows)
-    assert made.shapes is not None
-    shadow_rows = (made.shapes.rows >= len(avatar.splats))[:, None, None]
-    return replace(made, shapes=replace(made.shapes, bends=np.where(shadow_rows, 0, made.shapes.bends)))
+    return unbent(add_splats(avatar, mesh, joined_splats(parts)), len(avatar.splats))

@@ -5,19 +5,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.open_face import first_vertices, with_expressions
-from glsplat.extras.authoring.faces.blinks import blink_shape_of, closing_weight, with_blink
-from glsplat.extras.authoring.faces.eyeballs import fit_eyeballs
+from glsplat.extras.authoring.body.open_face import with_expressions
+from glsplat.extras.authoring.faces.eyes import (
+    Opening,
+    blink_shape_of,
+    closing_weight,
+    find_openings,
+    fit_eyeballs,
+    with_blink,
+)
 from glsplat.extras.authoring.faces.lashes import LASH_SPLATS, with_lashes
 from glsplat.extras.authoring.faces.lids import with_lids
 from glsplat.extras.authoring.faces.mouth import with_open_lips, with_teeth
-from glsplat.extras.authoring.faces.openings import Opening, find_openings
 from glsplat.meshes import RiggedMesh
 
 FACE_SPLATS = 1_600
 """Of an avatar, for teeth, gums, lids and lashes."""
-
-_OPACITY_FACTOR, _LENGTH_FACTOR = 0.45, 0.75  # of lashes: photographs show some already
 
 
 class MovingFace(NamedTuple):
@@ -30,10 +33,10 @@ class MovingFace(NamedTuple):
 def moving_face(mesh: RiggedMesh) -> MovingFace:
     """Return the moving face of ``mesh``.
 
-    Its first vertices are the open body's; it has parts called eyes, mouth and skin.
+    Its first vertices are the open body's.
     """
-    moving = with_open_lips(with_expressions(mesh, first_vertices(mesh)))
-    eyes = find_openings(mesh, fit_eyeballs(mesh, "eyes"))
+    moving = with_open_lips(with_expressions(mesh))
+    eyes = find_openings(mesh, fit_eyeballs(mesh))
     shares = {blink_shape_of(eye.ball): closing_weight(moving, eye) for eye in eyes}
     return MovingFace(with_blink(moving, shares), tuple(eyes))
 
@@ -47,7 +50,7 @@ def with_face(avatar: Avatar, face: MovingFace, total: int, seed: int = 0, *, ey
     """
     (mesh, eyes), made, lashes = face, avatar, range(0)
     if eyes_visible:
-        made = with_lashes(avatar, mesh, eyes, seed, strength=_OPACITY_FACTOR, length=_LENGTH_FACTOR, light=False)
+        made = with_lashes(avatar, mesh, eyes, seed)
         lashes = range(len(avatar.splats), len(avatar.splats) + LASH_SPLATS * len(eyes))
     made = with_lids(made, mesh, eyes, lashes, seed)
     return with_teeth(made, mesh, total - len(made.splats), len(avatar.splats), seed)

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from glsplat import reference
+from glsplat.arrays import F32, F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
@@ -33,7 +34,6 @@ from glsplat.skinning.shapes import Shapes
 from glsplat.skinning.skin import strongest_joint
 from glsplat.splats import Level, Splats
 
-F64 = NDArray[np.float64]
 _FAR_RADII, _NEAR_RADII = 8.0, (2.0, 5.0)  # distance of the cameras that make and that test cones
 _EVERYWHERE = np.array([0, 0, 0, -127], np.int8)  # a cone without an axis: visible from everywhere
 _MIN_HIDEABLE_FRACTION = 0.02  # of all splats; with fewer, cones are not worth their bytes
@@ -146,7 +146,7 @@ def _uncovered(splats: Splats, shapes: Shapes) -> NDArray[np.bool_]:
     return np.asarray(out)
 
 
-def hidden(posed: Splats, eyes: Sequence[NDArray[np.float64]], margin: float = 0.0) -> NDArray[np.bool_]:
+def hidden(posed: Splats, eyes: Sequence[F64], margin: float = 0.0) -> NDArray[np.bool_]:
     """Return True [N] for splats whose cone holds none of the positions ``eyes`` [3] (cone.glsl).
 
     A splat without extent in some direction is never hidden: the renderer cannot compute its axes.
@@ -175,7 +175,7 @@ def _packed(axis: F64, smallest: F64) -> NDArray[np.int8]:
 
 def _weights_and_directions(
     scene: Splats | Avatar, usable: NDArray[np.bool_], rng: np.random.Generator, config: ConeConfig, report: Progress
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[F32, F32]:
     """Return each splat's share [V, N] of a view, in m^2, and the direction to the eye [V, N, 3] in its own axes."""
     poses: Sequence[Pose | None] = [None]
     directions = config.directions
@@ -222,12 +222,7 @@ def _weigher(count: int) -> Callable[[Splats, Camera], F64]:
 
 
 def _threshold_cosines(
-    weight: NDArray[np.float32],
-    cosine: F64,
-    axis: F64,
-    pictures: Iterable[_Picture],
-    config: ConeConfig,
-    report: Progress,
+    weight: F32, cosine: F64, axis: F64, pictures: Iterable[_Picture], config: ConeConfig, report: Progress
 ) -> F64:
     """Return the cosines [N] of the largest threshold with which the median picture keeps ``config.psnr``."""
     found = list(pictures)

@@ -14,9 +14,9 @@ from itertools import product
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F32, F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.camera import Camera, look_at
 from glsplat.config import RenderConfig
@@ -30,8 +30,6 @@ from glsplat.renderer.levels import Proxy
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Level, Splats
 
-F64 = NDArray[np.float64]
-F32 = NDArray[np.float32]
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
 

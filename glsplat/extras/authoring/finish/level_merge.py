@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from glsplat.arrays import F32, F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.geometry.attribute_transfer import merged_shapes, transferred_surface
@@ -25,7 +26,6 @@ from glsplat.rotations import quaternion_matrices
 from glsplat.skinning.skin import Skin
 from glsplat.splats import SH_C0, Splats
 
-F64 = NDArray[np.float64]
 Scene = TypeVar("Scene", bound=Splats | Avatar)
 Report = Callable[[str, float], None]
 
@@ -107,7 +107,7 @@ def covered(scene: Scene, cover: Cover) -> Scene:
 class _Clusters:
     """The state of a merge: clusters and their moments."""
 
-    def __init__(self, splats: Splats, weights: NDArray[np.float32] | None) -> None:
+    def __init__(self, splats: Splats, weights: F32 | None) -> None:
         self.label = np.arange(len(splats))  # the cluster of each splat
         scales = np.abs(splats.scales.astype(np.float64))
         self.mass: F64 = np.minimum(splats.opacities, 1).astype(np.float64) * area_of(scales)
@@ -153,7 +153,7 @@ class _Clusters:
         self.mass, self.label = mass, number[self.label]
         self._passes = 2 if self.count > _TWO_PASS_SPLATS else 1
 
-    def _pairs(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    def _pairs(self) -> tuple[NDArray[np.intp], F32]:
         """Return the cluster that each is merged into [N], -1 where it stays, and the cost [N]; at least one merges.
 
         A pair merges where it is the cheapest for both; in a second pass, unpaired splats try the rest.
@@ -206,16 +206,14 @@ class _Clusters:
         return np.asarray(a * b / size * size ** (_MASS_POWER - 1) * (place + 4 * size * square))
 
 
-def _dense(scene: Splats | Avatar, usable: NDArray[np.intp]) -> NDArray[np.float32] | None:
+def _dense(scene: Splats | Avatar, usable: NDArray[np.intp]) -> F32 | None:
     """Return the weights [N, J] of the joints that move any splat; None for static splats."""
     if not isinstance(scene, Avatar):
         return None
     joints, weights = scene.skin.joints[usable].astype(np.intp), scene.skin.weights[usable]
     used, columns = np.unique(joints, return_inverse=True)
     out = np.zeros((len(usable), len(used)), np.float32)
-    columns = columns.reshape(joints.shape)
-    for k in range(joints.shape[1]):
-        np.add.at(out, (np.arange(len(usable)), columns[:, k]), weights[:, k])
+    np.add.at(out, (np.arange(len(usable))[:, None], columns.reshape(joints.shape)), weights)
     return out
 
 

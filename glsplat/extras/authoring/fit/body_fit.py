@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.errors import FormatError
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body, open_body
-from glsplat.extras.authoring.body.segments import arm_layers
+from glsplat.extras.authoring.body.segments import arm_layers, hand_weights
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import landmarks
+from glsplat.extras.authoring.fit.limbs import before_trunk, beside_arms, hidden_arms, limb_uncertainty, missing_part
 from glsplat.extras.authoring.fit.offsets import face_vertices, offset_directions, smooth_offsets, sole_vertices
 from glsplat.extras.authoring.fit.outline import (
     Rim,
@@ -28,16 +29,12 @@ from glsplat.extras.authoring.fit.outline import (
 )
 from glsplat.extras.authoring.fit.prior import HINGES, POSED, PosePrior
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hands, hidden_arms
-from glsplat.extras.authoring.fit.standing.stances import MIN_ASIDE_RAD, arm_direction_error, stances_of, trusted_world
-from glsplat.extras.authoring.fit.standing.uncertainty import limb_uncertainty, missing_part
+from glsplat.extras.authoring.fit.stances import MIN_ASIDE_RAD, arm_direction_error, stances_of, trusted_world
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.meshes import RiggedMesh, vertex_normals
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 MAX_FIGURE_PX = 480.0
 """Height of the person in the fit's pictures, which are reduced to it."""
@@ -47,7 +44,6 @@ _CLOTHES_ROUNDS = 5  # searches for the outlines, each followed by new offsets
 _MAX_RIM_VERTICES = 500
 _RIM_WEIGHT = 36.0  # of an outline, in independent measurements
 _MANY_VIEWS = 5  # from there on outlines cross each other everywhere
-_HEIGHT_RANGE_M = 0.5, 2.5  # of a given stature
 
 # lengths as fractions of the person's height in the picture
 _REACH_FRACTION = 0.04  # between the body and the mask's edge
@@ -57,10 +53,8 @@ _ARM_EDGE_FRACTION = 0.008  # farther from an arm the mask shows the trunk
 _HAND_REACH_FRACTION, _MAX_HELD_FRACTION = 0.08, 0.025  # near a hand, larger offsets are held things, not cloth
 _MAX_RIM_COSINE, _MAX_DRESSED_RIM_COSINE = 0.35, 0.22  # of normal and line of sight; cloth has sharper outlines
 _MIN_PLAIN_COSINE = 0.8  # of normal and offset; vertices below it, in an ear's folds, follow their neighbours
-_FREE_M, _STAND_OFF = (
-    (0.04, 0.015),
-    (0.5, 0.3),
-)  # offsets kept and the fraction of more: at the sides, before and behind
+# offsets kept and the fraction of more: at the sides, before and behind
+_FREE_M, _STAND_OFF = (0.04, 0.015), (0.5, 0.3)
 _MAX_SOLE_M = 0.020  # thickness; more would be height that the body lacks
 _ELBOW_AND_WRIST_MARKS, _WRIST_MARKS = (13, 14, 15, 16), (15, 16)  # landmarks
 
@@ -114,24 +108,14 @@ class BodyFit:
     problem: str
 
 
-def fit_body(views: Sequence[View], height: float | None = None, body: Body | None = None) -> BodyFit:
+def fit_body(views: Sequence[View], height: float | None = None) -> BodyFit:
     """Fit the open body to one or more pictures of one person; ``height`` is in metres, if known.
 
     The bare body is fitted to the landmarks, then to the outlines, where distances outside the body weigh little
     because of clothes. Then the surface moves along its normals until its outline meets the masks. Pictures share the
-    shape and, up to a few degrees a joint, the pose. Raises FormatError; ``problem`` reports a fit that failed.
-
-    >>> from glsplat.extras.authoring.fit.body_fit import fit_body
-    >>> fit_body([])
-    Traceback (most recent call last):
-    glsplat.errors.FormatError: a fit needs at least one picture
+    shape and, up to a few degrees a joint, the pose. ``problem`` reports a fit that failed.
     """
-    if not views:
-        raise FormatError("a fit needs at least one picture")
-    low, high = _HEIGHT_RANGE_M
-    if height is not None and not low <= height <= high:
-        raise FormatError(f"a height needs metres from {low} to {high}, not {height:g}")
-    body = body or open_body()
+    body = open_body()
     starts = map_threads(lambda stance: _posed_from(stance, views, height, body), stances_of(views[0], body))
     starts.sort(key=lambda start: start.penalty)
     fit, least = _dressed(starts[0], views, body)
@@ -251,7 +235,7 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     found = np.isfinite(gaps)
     if moved is not None:  # ignore edges of a held ball or bag
         hand_reach = _HAND_REACH_FRACTION * view.figure
-        near_hand = beside_arms(body, pixels, view.mask.shape, hand_reach, hands(body))[row, column]
+        near_hand = beside_arms(body, pixels, view.mask.shape, hand_reach, hand_weights(body) > 0.5)[row, column]
         found &= ~(near_hand & (gaps > _MAX_HELD_FRACTION * view.figure))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from glsplat.errors import FormatError
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body, open_body
 from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit, fit_clothes
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
@@ -18,8 +17,6 @@ from glsplat.extras.authoring.fit.kinematics import fully_posed
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import DetectedPerson
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 _FINGER_JOINTS = {
     side: [k for k, name in enumerate(JOINT_NAMES) if name.startswith(f"{side}_") and name[-1] in "123"]
@@ -33,18 +30,13 @@ _MOVED_JOINTS = [
 ]
 
 
-def fit_details(
-    fit: BodyFit, views: Sequence[View], people: Sequence[DetectedPerson | None], body: Body | None = None
-) -> BodyFit:
+def fit_details(fit: BodyFit, views: Sequence[View], people: Sequence[DetectedPerson | None]) -> BodyFit:
     """Return the ``fit`` of ``views`` with hands and face fitted to the networks' ``people`` in the same pictures.
 
     Fingers, forearms, neck and head turn; the face's features and the eyes' joints move in ``rest`` and ``joints``;
     hair and sleeves are fitted to the masks again. Hands and faces that are hidden or not credible stay unchanged.
-    Raises FormatError.
     """
-    if not len(fit.views) == len(views) == len(people):
-        raise FormatError(f"details need a view and a person each of {len(fit.views)}, not {len(views)}, {len(people)}")
-    body = body or open_body()
+    body = open_body()
     rotations = [fitted.rotations.copy() for fitted in fit.views]
     for side in ("left", "right"):
         _set_hand(body, fit, views, people, side, rotations)

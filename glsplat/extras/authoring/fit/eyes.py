@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.networks.eye import EyeLook, read_eye
-from glsplat.extras.authoring.networks.face import Face, eye_of
+from glsplat.extras.authoring.networks.face import EyeLook, Face, eye_of, read_eye
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 EYE_SIDES = ("left", "right")
 
@@ -47,10 +45,14 @@ class Eyeball:
 def eyeball(body: Body, side: str) -> Eyeball:
     """Return the body's ``left`` or ``right`` eyeball."""
     vertices = np.flatnonzero(~body.skin & (body.part == JOINT_NAMES.index(f"{side}_eye_smplhf")))
-    points = body.vertices[vertices]
+    return Eyeball(vertices, *fitted_sphere(body.vertices[vertices]))
+
+
+def fitted_sphere(points: F64) -> tuple[F64, float]:
+    """Return the centre [3] and radius of the sphere that fits ``points`` [N, 3] by least squares."""
     columns = np.column_stack([2 * points, np.ones(len(points))])  # |p|^2 = 2 c.p + r^2 - |c|^2
     solution = np.linalg.lstsq(columns, (points**2).sum(axis=1), rcond=None)[0]
-    return Eyeball(vertices, solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3])))
+    return solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
 
 
 def read_eyes(picture: NDArray[np.uint8], face: Face) -> dict[str, EyeLook]:

@@ -7,27 +7,26 @@ symmetric. A half under hair therefore follows the visible half.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.eyes import EYE_SIDES, eyeball
 from glsplat.extras.authoring.fit.kinematics import derivative_column, fully_posed, projected
+from glsplat.extras.authoring.fit.landmarks import read_table
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.face import Face
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _TURNED_JOINTS = ("neck", "head")
@@ -70,8 +69,7 @@ class FacePlaces:
 @lru_cache(maxsize=1)
 def face_places() -> FacePlaces:
     """Return the embedded table (face_places.json), measured on people whose joints and skin are known."""
-    text = (resources.files("glsplat.extras.authoring.fit") / "face_places.json").read_text(encoding="utf-8")
-    rows = json.loads(text)["landmarks"]
+    rows = read_table("face_places.json")
     weights = np.array([row["weights"] for row in rows], np.float64)
     return FacePlaces(
         numbers=np.array([row["landmark"] for row in rows], np.intp),

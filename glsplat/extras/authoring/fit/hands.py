@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import derivative_column, fully_posed, projected
+from glsplat.extras.authoring.fit.landmarks import read_table
 from glsplat.extras.authoring.fit.view import View
-from glsplat.extras.authoring.networks.hand import Hand
+from glsplat.extras.authoring.networks.people import Hand
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.tracking.solve.limits import BOXES, FINGER_HIGH, FINGER_LOW
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _FINGERS = ("index", "middle", "ring", "pinky")
@@ -65,8 +64,7 @@ class HandPlaces:
 @lru_cache(maxsize=1)
 def hand_places() -> HandPlaces:
     """Return the embedded table (hand_offsets.json), measured on people whose joints and skin are known."""
-    text = (resources.files("glsplat.extras.authoring.fit") / "hand_offsets.json").read_text(encoding="utf-8")
-    rows = json.loads(text)["landmarks"]
+    rows = read_table("hand_offsets.json")
     return HandPlaces(np.array([row["offset"] for row in rows]), np.array([row["stray"] for row in rows]))
 
 
@@ -78,8 +76,7 @@ def hand_size(joints: F64) -> float:
 def fit_hand(body: Body, fit: BodyFit, fitted: FittedView, view: View, hand: Hand, side: str) -> F64 | None:
     """Return the view's rotations [55, 3] with one forearm and hand fitted, or None if the hand is not credible.
 
-    A hand is credible if the network finds it near the body's hand and a bend of the fingers explains it. The
-    network's rough depths are not used.
+    A hand is credible if the network finds it near the body's hand and a bend of the fingers explains it.
     """
     points = _landmark_points(fit, side)
     size_px = view.focal * hand_size(fit.joints) / float(fitted.joints[JOINT_NAMES.index(f"{side}_wrist"), 2])

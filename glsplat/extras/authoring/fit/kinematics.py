@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
 from glsplat.rotations import rotation_matrices
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 PLACE = 6

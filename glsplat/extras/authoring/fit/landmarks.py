@@ -6,24 +6,18 @@ import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body, Points
+from glsplat.extras.authoring.networks.person import OPPOSITE
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 LANDMARK_COUNT = 33
 """Number of the network's landmarks."""
-
-
-def _mirror_number(number: int) -> int:
-    """Return the number of the landmark on the other side, or of the nose itself."""
-    if number in (2, 5):
-        return 7 - number
-    return number if number == 0 else number + 1 if number % 2 else number - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +33,7 @@ class Landmarks:
     def mirror_rows(self) -> NDArray[np.intp]:
         """[L] row of the landmark on the other side, or of the nose itself."""
         rows = {int(number): row for row, number in enumerate(self.numbers)}
-        return np.array([rows[_mirror_number(int(number))] for number in self.numbers], np.intp)
+        return np.array([rows[OPPOSITE[number]] for number in self.numbers], np.intp)
 
     def points(self, body: Body) -> Points:
         """Return the landmarks as points of the body."""
@@ -49,13 +43,16 @@ class Landmarks:
         return Points(rest, shape, self.joints[:, None], np.ones((len(self.joints), 1)))
 
 
+def read_table(name: str, key: str = "landmarks") -> list[dict[str, Any]]:
+    """Return the rows of one of this package's JSON tables."""
+    rows: list[dict[str, Any]] = json.loads(resources.files(__package__).joinpath(name).read_text("utf-8"))[key]
+    return rows
+
+
 @lru_cache(maxsize=1)
 def landmarks() -> Landmarks:
     """Return the embedded table (landmark_offsets.json), measured on people whose joints and skin are known."""
-    table = json.loads(
-        (resources.files("glsplat.extras.authoring.fit") / "landmark_offsets.json").read_text(encoding="utf-8")
-    )
-    rows = table["landmarks"]
+    rows = read_table("landmark_offsets.json")
     return Landmarks(
         numbers=np.array([row["landmark"] for row in rows], np.intp),
         joints=np.array([JOINT_NAMES.index(row["joint"]) for row in rows], np.intp),

@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import diags
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
+from glsplat.extras.authoring.compute.solvers import conjugate_gradients
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
-
-F64 = NDArray[np.float64]
 
 OFFSET_RANGE_M = -0.03, 0.12
 """Limits of the offsets, inwards and outwards."""

@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.geometry.raster import box_pixels, pixel_span
 from glsplat.meshes import vertex_normals
 from glsplat.rotations import component_sums, lengths, unit_vectors
-
-F64 = NDArray[np.float64]
 
 _MAX_BRIM_HEIGHT_FRACTION, _MIN_BRIM_WIDTH_FRACTION = 0.045, 0.02  # of the person's height; hair is higher
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body, Points
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit import prior
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import Landmarks
 from glsplat.extras.authoring.fit.outline import Rim
 from glsplat.extras.authoring.fit.view import View
-
-F64 = NDArray[np.float64]
 
 _POSE_CHANGE_SD_RAD = 0.06  # between two pictures of one session
 _OUTLIER_FACTOR = 3.0  # typical errors at which a landmark has a quarter of the weight

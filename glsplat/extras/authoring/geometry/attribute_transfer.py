@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.light.surface import Surface
 from glsplat.rotations import quaternion_matrices, unit_vectors
 from glsplat.skinning.shapes import BEND, Shapes, long_axes
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _MAX_SOURCES = 4  # finer splats averaged into a coarser one's surface
 
@@ -85,7 +84,7 @@ def transferred_surface(surface: Surface | None, before: Splats, after: Splats) 
 
 def _gradients(shapes: Shapes, splats: Splats) -> F64:
     """Return the deformation gradients less the identity [E, 3, 3]; the normal stays perpendicular to both axes."""
-    axes = _axes(splats)[shapes.rows]
+    axes = sorted_axes(splats)[shapes.rows]
     one, other, normal = axes[:, :, 0], axes[:, :, 1], axes[:, :, 2]
     first, second = (shapes.bends[:, k] * BEND for k in (0, 1))
     lean = -np.einsum("ei,ei->e", first, normal)[:, None] * one - np.einsum("ei,ei->e", second, normal)[:, None] * other
@@ -93,10 +92,10 @@ def _gradients(shapes: Shapes, splats: Splats) -> F64:
 
 
 def _bends(gradients: F64, splats: Splats, rows: NDArray[np.integer]) -> F64:
-    return np.asarray(np.einsum("eij,ejk->eki", gradients, _axes(splats)[rows][:, :, :2]))
+    return np.asarray(np.einsum("eij,ejk->eki", gradients, sorted_axes(splats)[rows][:, :, :2]))
 
 
-def _axes(splats: Splats) -> F64:
+def sorted_axes(splats: Splats) -> F64:
     """Return the two long axes and the thin one, as columns [N, 3, 3]."""
     finite = np.asarray(np.isfinite(splats.quats).all(axis=1))[:, None]
     axes = quaternion_matrices(np.where(finite, splats.quats, (1, 0, 0, 0)))

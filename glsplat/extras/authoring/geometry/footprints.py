@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.reference import AA_FLOOR, dilated_covariances, jacobians
-
-F64 = NDArray[np.float64]
 
 EPS2D, ALPHA_MAX, ALPHA_MIN, MAX_SIGMA = 0.3, 0.99, 1 / 255, 3.33  # px^2, and the rest of docs/conventions.md
 

@@ -8,15 +8,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.geometry.nearest import NearestPoints, nearest_on
-from glsplat.extras.authoring.geometry.surface_points import triangle_areas
+from glsplat.extras.authoring.geometry.attribute_transfer import sorted_axes
+from glsplat.extras.authoring.geometry.surface_points import NearestPoints, nearest_on, triangle_areas
 from glsplat.meshes import Morphs, RiggedMesh
-from glsplat.rotations import quaternion_matrices, unit_vectors
-from glsplat.skinning.shapes import Shapes, long_axes
+from glsplat.rotations import unit_vectors
+from glsplat.skinning.shapes import Shapes
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _MIN_MOVE_M = 1e-4  # entries that move less are dropped, unless they bend
 _MIN_BEND = 0.03  # change of a unit axis
@@ -80,9 +79,7 @@ def shapes_of(splats: Splats, mesh: RiggedMesh, morphs: Morphs, faces: NDArray[n
     )
     attached: NDArray[np.bool_] = np.logical_and(usable, distance < _MAX_DISTANCE_M)
     corners = mesh.faces[face]
-    axes = quaternion_matrices(np.where(usable[:, None], splats.quats, (1, 0, 0, 0)))
-    order = long_axes(splats.scales)
-    long_columns = np.take_along_axis(axes, order[:, None, :2], axis=2)  # [N, 3, 2]
+    long_columns = sorted_axes(splats)[:, :, :2]
     rows, targets, moves, bends = [], [], [], []
     for target, name in enumerate(morphs.names):
         offsets = morphs.dense(name, len(mesh.vertices))

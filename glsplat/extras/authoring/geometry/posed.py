@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat import reference
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.rotations import matrix_quaternions, quaternion_matrices, quaternion_product, sh_rotations
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
-
-F64 = NDArray[np.float64]
 
 
 class PosedSplats(NamedTuple):

@@ -9,14 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.meshes import RiggedMesh
 from glsplat.rotations import component_sums
 
 
-def visible_faces(
-    mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def visible_faces(mesh: RiggedMesh, vertices: F64, camera: Camera) -> tuple[NDArray[np.int64], F64]:
     """Return the face visible at each pixel centre [H, W] (-1: none) and barycentric coordinates [H, W, 3] in it.
 
     Both sides of a triangle are drawn; texels with alpha below one half are holes; triangles that cross the near
@@ -71,9 +70,7 @@ def visible_faces(
     return ids.reshape(camera.height, camera.width), weights.reshape(camera.height, camera.width, 3)
 
 
-def pixel_span(
-    first: NDArray[np.float64], second: NDArray[np.float64], third: NDArray[np.float64], size: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def pixel_span(first: F64, second: F64, third: F64, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return, along one axis, the first pixel [F] whose centre may lie between three corners, and the count [F]."""
     low, high = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
     begin = np.ceil(low - 0.5).clip(0, size).astype(np.int64)
@@ -93,16 +90,12 @@ def box_pixels(
     return line[pixel], column, row[pixel]
 
 
-def mesh_picture(
-    mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
-) -> NDArray[np.float64]:
+def mesh_picture(mesh: RiggedMesh, vertices: F64, camera: Camera, supersample: int = 3) -> F64:
     """Return the unlit textured mesh: premultiplied RGBA [H, W, 4], box-filtered from ``supersample``^2 samples."""
     return mesh_picture_and_depth(mesh, vertices, camera, supersample)[0]
 
 
-def mesh_picture_and_depth(
-    mesh: RiggedMesh, vertices: NDArray[np.float64], camera: Camera, supersample: int = 3
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mesh_picture_and_depth(mesh: RiggedMesh, vertices: F64, camera: Camera, supersample: int = 3) -> tuple[F64, F64]:
     """Return ``mesh_picture`` and the farthest camera z [H, W] among a pixel's samples, metres (empty: infinite)."""
     large = camera.resized(camera.width * supersample, camera.height * supersample)
     ids, bary = visible_faces(mesh, vertices, large)

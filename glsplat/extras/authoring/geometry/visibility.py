@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.meshes import RiggedMesh
@@ -38,13 +39,11 @@ class VisiblePart:
     """The part of a mesh that cameras can see."""
 
     faces: NDArray[np.bool_]  # [F] visible, or next to a visible one
-    points: NDArray[np.float64]  # [H, 3] visible points in the zero pose, one for each cube of 2 mm and mesh part
+    points: F64  # [H, 3] visible points in the zero pose, one for each cube of 2 mm and mesh part
     parts: NDArray[np.intp]  # [H] their mesh part
     hits: NDArray[np.intp]  # [H] pixels, over all views, that show this cube
 
-    def is_visible(
-        self, points: NDArray[np.float64], normals: NDArray[np.float64], parts: NDArray[np.intp], reach: float
-    ) -> NDArray[np.bool_]:
+    def is_visible(self, points: F64, normals: F64, parts: NDArray[np.intp], reach: float) -> NDArray[np.bool_]:
         """Return True [M] for surface points with a visible point of the same part within ``reach`` metres.
 
         Where another part lies closely above (skin under a hem), single pixels seen up a sleeve do not count.
@@ -112,7 +111,7 @@ def visible_surface(mesh: RiggedMesh, size: int = 512) -> VisiblePart:
     return VisiblePart(seen | touched[mesh.faces].any(axis=1), cube * _CUBE_M + low, (key >> 54).astype(np.intp), hits)
 
 
-def _within(theirs: NDArray[np.float64], ours: NDArray[np.float64], reach: float) -> NDArray[np.bool_]:
+def _within(theirs: F64, ours: F64, reach: float) -> NDArray[np.bool_]:
     if not len(theirs):
         return np.zeros(len(ours), bool)
     return np.isfinite(cKDTree(theirs).query(ours, distance_upper_bound=reach, workers=-1)[0])
@@ -149,7 +148,7 @@ def _gaze_poses(mesh: RiggedMesh) -> list[Pose]:
     return out
 
 
-def sphere(count: int) -> NDArray[np.float64]:
+def sphere(count: int) -> F64:
     """Return [count, 3] unit directions spread evenly over the sphere (Fibonacci lattice)."""
     i = np.arange(count) + 0.5
     y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
@@ -157,7 +156,7 @@ def sphere(count: int) -> NDArray[np.float64]:
     return np.stack([r * np.cos(turn), y, r * np.sin(turn)], axis=1)
 
 
-def sphere_around(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def sphere_around(points: F64) -> tuple[F64, float]:
     """Return the centre [3] of the box around ``points`` [N, 3] and their largest distance from it, at least 1e-6."""
     centre = (points.max(axis=0) + points.min(axis=0)) / 2
     return centre, max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import tempfile
 import zipfile
 import zlib
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F32, F64
 from glsplat.avatar import Avatar, splats_of
 from glsplat.errors import FormatError
 from glsplat.formats.gltf.container import Container, item, parse
@@ -32,8 +31,7 @@ Follow = Literal["weights", "head"]
 FOLLOW_MODES: tuple[Follow, ...] = ("weights", "head")
 """A splat moves by the weights of its vertex, or, as in the public renderer, only by the joint called head."""
 
-_MAX_MEMBER_BYTES = {"offset.ply": 1 << 29, "skin.glb": 1 << 29}
-"""The members that are read, and the bytes each may unpack to."""
+_MEMBERS, _MAX_MEMBER_BYTES = ("offset.ply", "skin.glb"), 1 << 29  # that are read, and may unpack to
 _MAX_ENTRIES = 10_000  # of the zip's directory
 _HEAD_JOINT = "head"
 
@@ -88,59 +86,46 @@ def _checked_members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     found: dict[str, zipfile.ZipInfo] = {}
     for info in entries:
         name = PurePosixPath(info.filename).name
-        if info.is_dir() or name not in _MAX_MEMBER_BYTES or "__MACOSX" in info.filename:
+        if info.is_dir() or name not in _MEMBERS or "__MACOSX" in info.filename:
             continue
         if name in found:
             raise FormatError(f"two members are called {name}; keep one avatar in a zip")
-        if info.file_size > _MAX_MEMBER_BYTES[name]:
-            raise FormatError(
-                f"{name} would unpack to {info.file_size >> 20} MiB, more than {_MAX_MEMBER_BYTES[name] >> 20}"
-            )
+        if info.file_size > _MAX_MEMBER_BYTES:
+            raise FormatError(f"{name} would unpack to {info.file_size >> 20} MiB, more than {_MAX_MEMBER_BYTES >> 20}")
         if info.flag_bits & 1:
             raise FormatError(f"{name} is encrypted; unpack the zip and pack it without a password")
         found[name] = info
-    for name in ("offset.ply", "skin.glb"):
+    for name in _MEMBERS:
         if name not in found:
             inside = ", ".join(info.filename[:40] for info in entries[:6]) or "nothing"
             raise FormatError(f"a LAM export needs the member {name}; found {inside}")
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Mesh:
-    """The skinned vertices that splats are attached to."""
-
-    vertices: NDArray[np.float64]
-    skeleton: Skeleton
-    skin: Skin
-    morphs: Morphs
-
-
 def _avatar(folder: Path, source: Path, follow: Follow) -> Avatar:
-    splats, mesh = splats_of(load_splats(folder / "offset.ply", format="ply")), _mesh(folder / "skin.glb", source)
-    count, names = len(splats), mesh.skeleton.names
-    if len(mesh.vertices) != count:
-        raise FormatError(
-            f"offset.ply has {count} splats, skin.glb {len(mesh.vertices)} vertices; each splat rides one"
-        )
+    splats = splats_of(load_splats(folder / "offset.ply", format="ply"))
+    vertices, skeleton, skin, morphs = _mesh(folder / "skin.glb", source)
+    count, names = len(splats), skeleton.names
+    if len(vertices) != count:
+        raise FormatError(f"offset.ply has {count} splats, skin.glb {len(vertices)} vertices; each splat rides one")
     rgb = splats.sh[:, 0].astype(np.float64)
     usable = splats.finite()
     if usable.any():
-        _check_offsets(splats.means[usable], rgb[usable], mesh.vertices)
-    at = mesh.vertices + splats.means
+        _check_offsets(splats.means[usable], rgb[usable], vertices)
+    at = vertices + splats.means
     placed = Splats.create(at, splats.quats, splats.scales, splats.opacities, rgb=rgb)
     if follow == "head":
         if _HEAD_JOINT not in names:
             raise FormatError(f'skin.glb has no joint called "{_HEAD_JOINT}" that all splats could follow')
         skin = Skin.create(np.full((count, 1), names.index(_HEAD_JOINT)), np.ones((count, 1)), len(names), 1)
     else:
-        skin = Skin.create(mesh.skin.joints, mesh.skin.weights, len(names))
+        skin = Skin.create(skin.joints, skin.weights, len(names))
     meta: dict[str, Any] = {
         "source": f"LAM, {source.name}",
         "body_model": f"{len(names)} joints of skin.glb",
         "licence": "as the picture and LAM's weights (CC BY-NC 4.0) allow",
     }
-    return Avatar(placed, mesh.skeleton, skin, meta, shapes=_shapes(mesh.morphs, count))
+    return Avatar(placed, skeleton, skin, meta, shapes=_shapes(morphs, count))
 
 
 def _shapes(morphs: Morphs, count: int) -> Shapes | None:
@@ -152,7 +137,8 @@ def _shapes(morphs: Morphs, count: int) -> Shapes | None:
     return Shapes.create(names, count, splats=morphs.vertices, targets=targets, moves=morphs.offsets)
 
 
-def _mesh(path: Path, source: Path) -> _Mesh:
+def _mesh(path: Path, source: Path) -> tuple[F64, Skeleton, Skin, Morphs]:
+    """Return the skinned vertices [N, 3] that splats are attached to, with their rig."""
     with naming(path):
         container = parse(path.read_bytes(), path.parent)
         graph = graph_of(container.gltf)
@@ -165,7 +151,7 @@ def _mesh(path: Path, source: Path) -> _Mesh:
         morphs = read_morphs(container, mesh, instance.primitive)
         with naming(f"{source}: {path.name}"):  # the temporary path would mislead
             container.warn()
-        return _Mesh(vertices.astype(np.float64), skeleton, skin, morphs)
+        return vertices.astype(np.float64), skeleton, skin, morphs
 
 
 def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
@@ -187,7 +173,7 @@ def _skinned(container: Container, graph: Graph) -> tuple[Mesh, Instance]:
     return mesh, instance
 
 
-def _check_offsets(offsets: NDArray[np.float32], rgb: NDArray[np.float64], vertices: NDArray[np.float64]) -> None:
+def _check_offsets(offsets: F32, rgb: F64, vertices: F64) -> None:
     if rgb.min() < -0.02 or rgb.max() > 1.02:
         raise FormatError(
             f"offset.ply needs RGB in [0, 1] in f_dc, as LAM writes it, found {rgb.min():.2f} to {rgb.max():.2f}; "

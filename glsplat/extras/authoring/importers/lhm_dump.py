@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, PoseError
 from glsplat.extras.formats.npz import read_arrays
@@ -18,8 +18,6 @@ from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.skin import Skin
 from glsplat.skinning.smplx import JOINT_NAMES
 from glsplat.splats import Splats
-
-F64 = NDArray[np.float64]
 
 _LHM_KEYS: dict[str, tuple[int | str, ...]] = {
     "query_points": ("N", 3),

@@ -13,29 +13,31 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.sparse import csr_array, csr_matrix, diags
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
+from glsplat.extras.authoring.body.segments import HANDS
+from glsplat.extras.authoring.compute.solvers import conjugate_gradients
 from glsplat.extras.authoring.geometry.visibility import HEAD
-from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
-from glsplat.extras.authoring.light.cloth_normals import cloth_normals
-from glsplat.extras.authoring.light.surfaces import locate_splats, open_occlusion
+from glsplat.extras.authoring.light.surfaces import ambient_occlusion, locate_splats, open_occlusion
 from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.light.light import Light
 from glsplat.light.surface import Surface
-from glsplat.meshes import RiggedMesh
+from glsplat.meshes import RiggedMesh, vertex_normals
+from glsplat.rotations import unit_vectors
 from glsplat.skinning.pose import Pose
 from glsplat.skinning.skin import strongest_joint
-
-F64 = NDArray[np.float64]
 
 # of the lamp's direction (tangents) and log strength; wide, since faces may be lit from the side
 _LAMP_SIGMAS = 1.5, 0.7
 _MIN_SHADE_FRACTION = 0.3  # of the brightest; darker parts of photographs are noise, which division would amplify
 _MAX_ALBEDO = 0.85  # of white cloth and paper, which photographs show as white
 _MIN_VISIBILITY = 0.3
+_CLOTH_SMOOTHING_M, _NECK_SMOOTHING_M, _BARE_SMOOTHING_M = 0.03, 0.01, 0.002  # bare: faces and hands
+_MAX_COTANGENT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ def with_captured_light(
     """
     locations = locate_splats(mesh, avatar.splats, captured.occlusion)
     normals = locations.directions(captured.normals)
-    shade = locations.at(captured.shade[:, None])[:, 0]
+    shade = locations.at(captured.shade)
     if photographed is not None:
         shade[photographed:] = 1.0
     occlusion = open_occlusion(locations.at(captured.occlusion))
@@ -108,3 +110,39 @@ def with_captured_light(
 
 def _brightest(lamp: Lamp) -> float:
     return float(lamp.shade(np.stack([lamp.direction, lamp.up])).max())
+
+
+def cloth_normals(mesh: RiggedMesh, poses: list[F64]) -> list[F64]:
+    """Return [V, 3] unit normals of the ``mesh`` for each array of vertices in ``poses``, smoothed under clothes.
+
+    It is one implicit step of diffusion over the surface, independent of its triangles (Desbrun et al., Implicit
+    Fairing of Irregular Meshes using Diffusion and Curvature Flow, 1999; cotangents after Pinkall and Polthier, 1993).
+    """
+    stiff, area = _laplacian(mesh)
+    part = strongest_joint(mesh.joints, mesh.weights)
+    sigma_m = np.full(len(part), _CLOTH_SMOOTHING_M)
+    for words, smoothing in ((("neck",), _NECK_SMOOTHING_M), ((*HEAD, *HANDS), _BARE_SMOOTHING_M)):
+        mine = [index for index, name in enumerate(mesh.skeleton.names) if any(word in name for word in words)]
+        sigma_m[np.isin(part, mine)] = smoothing
+    own = (area / sigma_m**2)[:, None]
+    normals = np.concatenate([vertex_normals(vertices, mesh.faces) for vertices in poses], axis=1)
+    smoothed = conjugate_gradients(csr_matrix(stiff + diags(own[:, 0])), own * normals, normals)
+    return [unit_vectors(one) for one in np.split(smoothed, len(poses), axis=1)]
+
+
+def _laplacian(mesh: RiggedMesh) -> tuple[csr_array, F64]:
+    """Return [V, V] the cotangent matrix of the zero pose, which maps constants to 0, and [V] vertex areas."""
+    corner, count = mesh.vertices[mesh.faces], len(mesh.vertices)
+    rows, columns, values, area = [], [], [], np.full(count, 1e-10)
+    for here in range(3):
+        first, last = (here + 1) % 3, (here + 2) % 3
+        one, other = corner[:, first] - corner[:, here], corner[:, last] - corner[:, here]
+        across = np.linalg.norm(np.cross(one, other), axis=1)
+        half = (np.einsum("fc,fc->f", one, other) / np.maximum(across, 1e-10)).clip(0, _MAX_COTANGENT) / 2
+        ends = mesh.faces[:, first], mesh.faces[:, last]
+        rows += [*ends, *ends]
+        columns += [*ends[::-1], *ends]
+        values += [-half, -half, half, half]
+        np.add.at(area, mesh.faces[:, here], across / 6)
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return csr_array(entries, shape=(count, count)), area

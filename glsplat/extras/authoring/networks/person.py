@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32, F64
+
 from .network import Crop, network, sigmoid
 
 LANDMARKS = (
@@ -17,6 +19,9 @@ LANDMARKS = (
     "right_ankle left_heel right_heel left_foot_index right_foot_index"
 ).split()
 """Names of the 33 landmarks, in order; left and right are the person's own."""
+_OTHER_SIDE = {"left": "right", "right": "left"}
+OPPOSITE = [LANDMARKS.index("_".join(_OTHER_SIDE.get(word, word) for word in name.split("_"))) for name in LANDMARKS]
+"""Index of the landmark on the other side, or of the nose itself, for each landmark."""
 
 _INPUT_PX = 256  # side of both networks' inputs
 _CROP_FACTOR = 1.25  # the crop's side in sides of the person's box, as the network was trained
@@ -27,25 +32,25 @@ _CROP_ROUNDS = 2  # the second crop is the box of the first mask
 class DetectedBody:
     """The body network's result for one person."""
 
-    points: NDArray[np.float64]
+    points: F64
     """[33, 2] pixels of the picture (first pixel's centre at 0.5), in the order of LANDMARKS."""
-    visible: NDArray[np.float64]
+    visible: F64
     """[33] probability that the landmark is in the picture and not hidden."""
-    world: NDArray[np.float64]
+    world: F64
     """[33, 3] metres for a person of average size, from the hips' middle; x right, y down, z away from the camera."""
     presence: float
     """Probability that the crop shows a person."""
-    mask: NDArray[np.float32]
+    mask: F32
     """[H, W] probability that a pixel shows the person, at a resolution of 256 pixels over the crop."""
     crop: Crop
     """The network's input."""
 
-    def point(self, name: str) -> NDArray[np.float64]:
+    def point(self, name: str) -> F64:
         """Return the pixel [2] of the landmark ``name``."""
         return self.points[LANDMARKS.index(name)]
 
 
-def people_mask(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+def people_mask(picture: NDArray[np.uint8]) -> F32:
     """Return the probability [256, 256] that people are shown, over the picture's ``enclosing_square``."""
     crop = enclosing_square(picture).cut(picture, _INPUT_PX)
     return network("selfie_segmentation")(crop)[0].reshape(_INPUT_PX, _INPUT_PX)
@@ -57,10 +62,9 @@ def enclosing_square(picture: NDArray[np.uint8]) -> Crop:
     return Crop(width / 2, height / 2, max(height, width))
 
 
-def find_body(picture: NDArray[np.uint8], people: NDArray[np.float32] | None = None) -> DetectedBody | None:
-    """Return the person at the largest patch of ``people`` (default: ``people_mask``), or None if there is no patch."""
-    mask = people_mask(picture) if people is None else people
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((mask > 0.5).astype(np.uint8))
+def find_body(picture: NDArray[np.uint8], people: F32) -> DetectedBody | None:
+    """Return the person at the largest patch of ``people`` of ``people_mask``, or None if there is no patch."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((people > 0.5).astype(np.uint8))
     if count < 2:
         return None
     largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
@@ -69,7 +73,7 @@ def find_body(picture: NDArray[np.uint8], people: NDArray[np.float32] | None = N
     return find_body_in_box(picture, corners.ravel())
 
 
-def find_body_in_box(picture: NDArray[np.uint8], box: NDArray[np.float64]) -> DetectedBody:
+def find_body_in_box(picture: NDArray[np.uint8], box: F64) -> DetectedBody:
     """Return the person in a rough box (x0, y0, x1, y1) in pixels, which the first mask refines."""
     net = network("pose_landmark_full", ("Identity", "Identity_1", "Identity_2", "Identity_4"))
     for _ in range(_CROP_ROUNDS):
@@ -92,7 +96,7 @@ def find_body_in_box(picture: NDArray[np.uint8], box: NDArray[np.float64]) -> De
     )
 
 
-def bounds(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def bounds(mask: NDArray[np.bool_]) -> F64:
     """Return the box (x0, y0, x1, y1) of the set pixels of [H, W], from edge to edge; zeros for an empty mask."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):

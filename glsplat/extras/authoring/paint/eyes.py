@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.eyes import eyeball, iris_angle
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
-from glsplat.extras.authoring.networks.eye import EyeLook
+from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.body.mouth_lining import mouth_lining
 from glsplat.extras.authoring.body.open_body import Body
+from glsplat.extras.authoring.body.open_face import mouth_lining
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import EYES
-from glsplat.extras.authoring.networks.eye import EyeLook
+from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.paint.eyes import eye_colours
 from glsplat.extras.authoring.paint.head import vertices_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture

@@ -14,7 +14,7 @@ from glsplat.extras.authoring.compute.threads import map_threads, run_in_backgro
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import HEAD
-from glsplat.extras.authoring.networks.eye import EyeLook
+from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.paint.front_to_back_transfer import Front, FrontMatches, match_to_front
 from glsplat.extras.authoring.paint.head import BackOfHead, back_of_head, vertices_of
 from glsplat.extras.authoring.paint.inpaint.cloth import NECK, TRUNK, Cloth, cloth_of

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags
 
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import HANDS
-from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
+from glsplat.extras.authoring.compute.solvers import conjugate_gradients
 from glsplat.skinning.smplx import JOINT_NAMES
 
 F64 = NDArray[np.float64]

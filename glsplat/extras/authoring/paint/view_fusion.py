@@ -18,7 +18,7 @@ from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import EYES
-from glsplat.extras.authoring.networks.eye import EyeLook
+from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.paint.head import vertices_of
 from glsplat.extras.authoring.paint.mouth_and_eyes import EyesAndMouth, eyes_and_mouth_of
 from glsplat.extras.authoring.paint.painter import COLOUR_DIGITS, Paint

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import Body, open_body
@@ -23,7 +24,7 @@ from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.light.captured_light import captured_light, with_captured_light
-from glsplat.extras.authoring.networks.eye import EyeLook
+from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.optimize.photo_fit import fitted_to_photos
@@ -33,13 +34,7 @@ from glsplat.extras.authoring.paint.inpaint.hair import with_hair
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.shoes import footwear_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
-from glsplat.extras.authoring.reconstruct.reconstructor import (
-    FittedBody,
-    MadeAvatar,
-    Mask,
-    Options,
-    Picture,
-)
+from glsplat.extras.authoring.reconstruct.reconstructor import FittedBody, MadeAvatar, Mask, Options, Picture
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
@@ -163,8 +158,8 @@ def _fitted(pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options:
     views = [_view(side, pictures[side], masks[side], people[side]) for side in sides]
     options.progress("fitting the body", 0.15)
     body = open_body()
-    fit = fit_body(views, options.height, body)
-    fit = fit_details(fit, views, [people[side] for side in sides], body)
+    fit = fit_body(views, options.height)
+    fit = fit_details(fit, views, [people[side] for side in sides])
     options.progress("painting", 0.35)
     mesh, seen = dress(body, fit, views, pictures["front"].rgb)
     shots = tuple(
@@ -197,7 +192,7 @@ def _shod(body: Body, fit: BodyFit, shot: FittedPicture) -> tuple[RiggedMesh | N
     return with_shoes(body, bare, shot.mesh, template(footwear.template)), note
 
 
-def _trust(shots: Sequence[FittedPicture]) -> NDArray[np.float64]:
+def _trust(shots: Sequence[FittedPicture]) -> F64:
     return np.asarray(np.max([shot.visibility for shot in shots], axis=0))
 
 
@@ -208,7 +203,7 @@ def _person(picture: Picture, side: str) -> DetectedPerson:
     return person
 
 
-def _arms(person: DetectedPerson) -> NDArray[np.float64]:
+def _arms(person: DetectedPerson) -> F64:
     """Return pixels [2, 24, 2] of shoulders, elbows, wrists and hands, left and right; NaN where not detected."""
     arms = []
     for side, hand in (("left", person.left_hand), ("right", person.right_hand)):

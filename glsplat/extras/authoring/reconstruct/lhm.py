@@ -10,14 +10,12 @@ import re
 import signal
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import IO
 
 import cv2
 import numpy as np
@@ -31,7 +29,7 @@ from glsplat.extras.authoring.networks.people import DetectedPerson
 from .reconstructor import Mask, Options, Picture, Progress
 
 _SCRIPT = "lhm_script.py"
-_TAIL_BYTES = 8192  # of its output that are kept
+_TAIL_BYTES = 8192  # of its output that are read
 _PROGRESS_LINE = re.compile(rb"glsplat: ([01]\.\d+) ([\w ]+)")  # printed by the script
 _REMOVED_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV", "__PYVENV_LAUNCHER__")
 
@@ -75,17 +73,17 @@ class Lhm:
         """Run LHM, and kill its process group in any case. Raises GlsplatError for a failure or a timeout."""
         environment = {key: value for key, value in os.environ.items() if key not in _REMOVED_VARIABLES}
         environment |= {"TMPDIR": str(workspace), "PYTHONUNBUFFERED": "1"}
-        process = subprocess.Popen(
-            command,
-            cwd=self.folder,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-        )
-        assert process.stdout is not None and process.stderr is not None
-        output, errors = _Tail(process.stdout), _Tail(process.stderr)
+        output, errors = workspace / "output.txt", workspace / "errors.txt"
+        with output.open("wb") as out, errors.open("wb") as err:
+            process = subprocess.Popen(
+                command,
+                cwd=self.folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
+            )
         deadline = time.monotonic() + self.timeout
         try:
             while True:
@@ -93,7 +91,7 @@ class Lhm:
                     code = process.wait(0.2)
                     break
                 except subprocess.TimeoutExpired:
-                    steps = _PROGRESS_LINE.findall(output.data)
+                    steps = _PROGRESS_LINE.findall(_tail(output))
                     progress(*((steps[-1][1].decode(), float(steps[-1][0])) if steps else ("starting LHM", 0.0)))
                     if time.monotonic() > deadline:
                         raise GlsplatError(
@@ -101,11 +99,9 @@ class Lhm:
                         ) from None
         finally:
             _end(process)
-            output.close()
-            errors.close()
         if code:
             how = f"exit code {code}" if code > 0 else f"signal {-code}"
-            raise GlsplatError(f"LHM failed ({how}): {errors.line() or output.line() or 'it said nothing'}")
+            raise GlsplatError(f"LHM failed ({how}): {_last_line(errors) or _last_line(output) or 'it said nothing'}")
 
 
 def from_environment() -> Lhm:
@@ -131,31 +127,17 @@ def from_environment() -> Lhm:
     return Lhm(folder, python, timeout, os.environ.get("GLSPLAT_LHM_MODEL") or Lhm.model)
 
 
-class _Tail:
-    """Reads a pipe to its end in a thread and keeps the last bytes, so that the writer never blocks."""
+def _tail(path: Path) -> bytes:
+    with path.open("rb") as file:
+        file.seek(max(file.seek(0, os.SEEK_END) - _TAIL_BYTES, 0))
+        return file.read()
 
-    def __init__(self, pipe: IO[bytes]) -> None:
-        self.data = b""
-        self._pipe = pipe
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
 
-    def _read(self) -> None:
-        with suppress(OSError, ValueError):  # closed from the other side
-            while part := os.read(self._pipe.fileno(), 65536):
-                self.data = (self.data + part)[-_TAIL_BYTES:]
-
-    def close(self) -> None:
-        """Wait for the rest, at most 2 s: an escaped grandchild may keep the pipe open for ever."""
-        self._thread.join(2.0)
-        if not self._thread.is_alive():
-            self._pipe.close()
-
-    def line(self) -> str:
-        """Return the last line that is not empty, without control characters."""
-        lines = [line.strip() for line in re.split(r"[\r\n]+", self.data.decode("utf-8", "replace"))]
-        last = next((line for line in reversed(lines) if line), "")
-        return "".join(c if c.isprintable() else "?" for c in last)[:300]
+def _last_line(path: Path) -> str:
+    """Return the last line that is not empty, without control characters."""
+    lines = [line.strip() for line in re.split(r"[\r\n]+", _tail(path).decode("utf-8", "replace"))]
+    last = next((line for line in reversed(lines) if line), "")
+    return "".join(c if c.isprintable() else "?" for c in last)[:300]
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

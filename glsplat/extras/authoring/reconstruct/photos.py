@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any, TypeVar
+from typing import Any
 
 from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError, one_line
 from glsplat.extras.authoring.check.photos import CheckedPhoto, PhotoSource, check_photos, refuse
 from glsplat.extras.authoring.compute.threads import one_blas_thread
-from glsplat.extras.authoring.segment.mask_file import MaskSource
+from glsplat.extras.authoring.segment.mask import MaskSource
 from glsplat.meshes import RiggedMesh
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -41,7 +42,6 @@ __all__ = [
     "today",
 ]
 
-T = TypeVar("T")
 
 _DEFAULT = Options()
 
@@ -84,14 +84,10 @@ def reconstruct(
     else today's, UTC), consent, body_model, unseen; never a picture or a path. Raises CaptureError, and GlsplatError
     from reconstructors.
     """
-
-    def work(maker: Reconstructor, *inputs: Any) -> tuple[Avatar, MadeAvatar | None]:
-        if isinstance(maker, ReportingReconstructor):
-            made = maker.report(*inputs)
-            return made.avatar, made
-        return maker.reconstruct(*inputs), None
-
-    name, day, (avatar, made) = _run(shots, options, using, anyway, work)
+    name, day, maker, inputs = _prepared(shots, options, using, anyway)
+    with _running(name):
+        made = maker.report(*inputs) if isinstance(maker, ReportingReconstructor) else None
+        avatar = made.avatar if made else maker.reconstruct(*inputs)
     if not isinstance(avatar, Avatar) or avatar.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {avatar!r:.100}, not an avatar on the joints of SMPL-X')
     if not anyway:
@@ -112,13 +108,11 @@ def reconstruct_mesh(
 
     Parameters and errors as of ``reconstruct``; GlsplatError also for a reconstructor that makes no meshes.
     """
-
-    def work(maker: Reconstructor, *inputs: Any) -> FittedBody:
-        if not isinstance(maker, MeshReconstructor):
-            raise GlsplatError(f'the reconstructor "{_name_of(using)}" makes splats, no meshes; use "builtin"')
-        return maker.mesh(*inputs)
-
-    name, day, made = _run(shots, options, using, anyway, work)
+    name, day, maker, inputs = _prepared(shots, options, using, anyway)
+    if not isinstance(maker, MeshReconstructor):
+        raise GlsplatError(f'the reconstructor "{name}" makes splats, no meshes; use "builtin"')
+    with _running(name):
+        made = maker.mesh(*inputs)
     if not isinstance(made, FittedBody) or made.mesh.skeleton.names != JOINT_NAMES:
         raise GlsplatError(f'the reconstructor "{name}" gave {made!r:.100}, not a mesh on the joints of SMPL-X')
     if not anyway:
@@ -127,30 +121,27 @@ def reconstruct_mesh(
     return MeshReconstruction(replace(made.mesh, meta=notes), dict(shots), name, made)
 
 
-def _name_of(using: str | Reconstructor) -> str:
-    return using if isinstance(using, str) else type(using).__name__
-
-
-@one_blas_thread()
-def _run(
-    shots: Mapping[str, CheckedPhoto],
-    options: Options | None,
-    using: str | Reconstructor,
-    anyway: bool,
-    work: Callable[[Reconstructor, Mapping[str, Picture], Mapping[str, Mask], Options], T],
-) -> tuple[str, str, T]:
-    """Run ``work`` with the reconstructor; return its name, the day, and the result."""
+def _prepared(
+    shots: Mapping[str, CheckedPhoto], options: Options | None, using: str | Reconstructor, anyway: bool
+) -> tuple[str, str, Reconstructor, tuple[dict[str, Picture], dict[str, Mask], Options]]:
+    """Return the reconstructor's name, the day, the reconstructor, and its inputs."""
     if not anyway or any(shot.capture.person is None for shot in shots.values()):
         refuse(shots)
     day = today()
-    name = _name_of(using)
-    maker = named(using) if isinstance(using, str) else using
+    name, maker = (using, named(using)) if isinstance(using, str) else (type(using).__name__, using)
     pictures = {
         side: Picture(shot.photo.picture, shot.photo.focal, shot.capture.person) for side, shot in shots.items()
     }
     masks = {side: shot.capture.mask for side, shot in shots.items()}
+    return name, day, maker, (pictures, masks, options or Options())
+
+
+@contextmanager
+def _running(name: str) -> Iterator[None]:
+    """Name the reconstructor in the errors of others' reconstructors, and keep BLAS on one thread."""
     try:
-        return name, day, work(maker, pictures, masks, options or Options())
+        with one_blas_thread():
+            yield
     except GlsplatError:
         raise
     except Exception as error:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError
 from glsplat.extras.authoring.networks.people import DetectedPerson
@@ -88,7 +89,7 @@ class FittedBody:
     fit: BodyFit
     mesh: RiggedMesh  # the dressed body in the zero pose; white, unless a mesh was asked for
     unseen: float  # fraction of the surface that no picture shows
-    seen: NDArray[np.float64]  # [V] trust of its vertices, from 0, guessed, to 1, seen frontally
+    seen: F64  # [V] trust of its vertices, from 0, guessed, to 1, seen frontally
     problem: str  # one line, or empty
 
 

@@ -73,9 +73,9 @@ def reconstruct_frames(
         View(frame.mask, frame.person.body.points, frame.person.body.visible, _focal(frame), turn=frame.turn)
         for frame in frames
     ]
-    fit = fit_turning(views, options.height, body, lambda done: options.progress("fitting the body", 0.4 + 0.3 * done))
+    fit = fit_turning(views, options.height, lambda done: options.progress("fitting the body", 0.4 + 0.3 * done))
     options.progress("fitting face and hands", 0.7)
-    fit = fit_details(fit, views, [frame.person for frame in frames], body)
+    fit = fit_details(fit, views, [frame.person for frame in frames])
     used = [index for index, view in enumerate(fit.views) if index == 0 or view.overlap >= _MIN_OVERLAP]
     problem = _problem(fit, len(used))
     if problem and not anyway:

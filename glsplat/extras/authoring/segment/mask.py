@@ -7,46 +7,33 @@ the room's colours count as room, because they are the person's shadow.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F32
+from glsplat.errors import FormatError
 from glsplat.extras.authoring.networks.head_parts import HeadPart
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
+from glsplat.extras.authoring.photo.photo_file import Photo, read_photo
 
-Float = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class MaskConfig:
-    """Parameters of the refinement. Lengths are fractions of the height of the network's mask."""
-
-    rounds: tuple[tuple[float, float, int], ...] = ((0.015, 0.03, 2), (0.008, 0.02, 1))
-    """Of each round: half width of the band, half width of the window of compared colours, and the factor by which
-    the picture is reduced."""
-    min_thickness: float = 0.004
-    """The middle lines of thinner parts do not count as colours of the person; fingers are thicker."""
-    noise_levels: float = 5.0
-    """Standard deviation of the noise of colours, in 8-bit levels."""
-    network_weight: float = 0.8
-    """Weight of the network's log odds."""
-    colour_weight: float = 0.5
-    """Weight of the colours' log odds."""
-    max_log_odds: float = 6.0
-    """Limit of the log odds of one pixel's colour, before they are weighted."""
-    smoothness: float = 30.0
-    """Strength of the smoothing (lambda of OpenCV's fast global smoother)."""
-    edge_levels: float = 15.0
-    """Difference in 8-bit levels that stops the smoothing (its sigma)."""
-    shadow_log_odds: float = 2.0
-    """Penalty of a completely dark shadow."""
-    floor_height: float = 0.05
-    """Shadows on the floor are expected below this height above the ankles."""
-
-
+MaskSource = str | os.PathLike[str] | NDArray[np.bool_]
+"""A picture file, or a mask [H, W] of the pixels of ``Photo.picture``."""
+_MIN_FRACTION, _MAX_FRACTION = 0.002, 0.95  # of the picture that a person covers
 _MIN_LOCK_FRACTION = 0.1  # width of a lock that a mask lacks, of the root of the hair's area
+# Of each round: half width of the band and half width of the window of compared colours, both fractions of the height
+# of the network's mask, and the factor by which the picture is reduced.
+_ROUNDS = ((0.015, 0.03, 2), (0.008, 0.02, 1))
+_MIN_THICKNESS_FRACTION = 0.004  # of the height; the middle lines of thinner parts are not the person's; fingers are
+_NOISE_LEVELS = 5.0  # standard deviation of colours, in 8-bit levels
+_NETWORK_WEIGHT, _COLOUR_WEIGHT = 0.8, 0.5  # of log odds
+_MAX_LOG_ODDS = 6.0  # of one pixel's colour, before they are weighted
+_SMOOTHNESS, _EDGE_LEVELS = 30.0, 15.0  # lambda and sigma of OpenCV's fast global smoother; sigma in 8-bit levels
+_SHADOW_LOG_ODDS = 2.0  # penalty of a completely dark shadow
+_FLOOR_FRACTION = 0.05  # of the height, above the ankles: shadows on the floor are expected below
 _SHADOW_FACTORS = (0.88, 0.76, 0.64, 0.52, 0.4)  # brightness of shadows, in sRGB values
 _SURE_COUNT_PX = np.float32(30)  # pixels from which a distribution is fully trusted
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # entries of a covariance
@@ -67,9 +54,8 @@ def with_head(mask: NDArray[np.bool_], parts: NDArray[np.uint8] | None) -> NDArr
     return mask | (missing & np.isin(label, np.unique(label[missing & near])))
 
 
-def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConfig | None = None) -> NDArray[np.bool_]:
+def person_mask(picture: NDArray[np.uint8], body: DetectedBody) -> NDArray[np.bool_]:
     """Return the mask [H, W] of the person ``body`` in a picture (RGB uint8 [H, W, 3]), one connected component."""
-    config = config or MaskConfig()
     mask = body.mask > 0.5
     if not mask.any():
         return mask
@@ -83,12 +69,12 @@ def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConf
     part, soft = np.ascontiguousarray(picture[area]), np.ascontiguousarray(body.mask[area])
     ankles = min(body.point("left_ankle")[1], body.point("right_ankle")[1]) - area[0].start
     inner = (soft > 0.5).astype(np.uint8)
-    for band, window, shrink in config.rounds:
+    for band, window, shrink in _ROUNDS:
         size = inner.shape[1] // shrink, inner.shape[0] // shrink
         small = [cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (part, soft)]
         start = cv2.resize(inner.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
         scale = height / shrink
-        odds = _odds(small[0], small[1], start, scale * band, scale * window, ankles / shrink, scale, config)
+        odds = _odds(small[0], small[1], start, scale * band, scale * window, ankles / shrink, scale)
         inner = (cv2.resize(odds, inner.shape[::-1], interpolation=cv2.INTER_LINEAR) > 0).astype(np.uint8)
     out = np.zeros_like(mask)
     out[area] = _largest(inner)
@@ -97,88 +83,85 @@ def person_mask(picture: NDArray[np.uint8], body: DetectedBody, config: MaskConf
 
 def _odds(
     picture: NDArray[np.uint8],
-    soft: Float,
+    soft: F32,
     mask: NDArray[np.bool_],
     band: float,
     window: float,
     ankles: float,
     height: float,
-    config: MaskConfig,
-) -> Float:
+) -> F32:
     """Return values [H, W] above zero inside the person; only the band around the mask's outline is re-estimated."""
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5)
     grown = cv2.dilate(inside, np.ones((3, 3), np.uint8))
-    ridge = mask & (inside >= grown - 0.3) & (inside >= max(config.min_thickness * height, 1.5))
+    ridge = mask & (inside >= grown - 0.3) & (inside >= max(_MIN_THICKNESS_FRACTION * height, 1.5))
     person = (inside > band) | ridge
     room = outside > band
     rows, columns = np.nonzero((inside <= band) & (outside <= band))
     colours = picture.astype(np.float32)
-    own = _Colours(colours, person, round(window), config.noise_levels).at(rows, columns)
-    other = _Colours(colours, room, round(window), config.noise_levels).at(rows, columns)
+    own = _Colours(colours, person, round(window)).at(rows, columns)
+    other = _Colours(colours, room, round(window)).at(rows, columns)
     values = colours[rows, columns]
     as_person, as_room = own.log_likelihood(values), other.log_likelihood(values)
-    low = rows > ankles - config.floor_height * height
+    low = rows > ankles - _FLOOR_FRACTION * height
     for shade in _SHADOW_FACTORS:
-        shadow = other.log_likelihood(values, shade) - np.float32(config.shadow_log_odds * (1 - shade))
+        shadow = other.log_likelihood(values, shade) - np.float32(_SHADOW_LOG_ODDS * (1 - shade))
         as_room = np.where(low, np.maximum(as_room, shadow), as_room)
     certainty = np.minimum(own.certainty, other.certainty)
     probability = np.clip(soft[rows, columns], 1e-3, 1 - 1e-3)
-    colour_odds = np.clip(as_person - as_room, -config.max_log_odds, config.max_log_odds) * certainty
+    colour_odds = np.clip(as_person - as_room, -_MAX_LOG_ODDS, _MAX_LOG_ODDS) * certainty
     network_odds = np.log(probability / (1 - probability))
-    log_odds = config.colour_weight * colour_odds + config.network_weight * network_odds
+    log_odds = _COLOUR_WEIGHT * colour_odds + _NETWORK_WEIGHT * network_odds
     odds = np.where(mask, 1.0, -1.0).astype(np.float32)
     odds[rows, columns] = np.tanh(log_odds / 2)
-    smooth = cv2.ximgproc.fastGlobalSmootherFilter(picture, odds, config.smoothness, config.edge_levels)
+    smooth = cv2.ximgproc.fastGlobalSmootherFilter(picture, odds, _SMOOTHNESS, _EDGE_LEVELS)
     return np.asarray(smooth, np.float32)
 
 
 class _Colours:
     """Mean and covariance of the colours of ``members`` in a window around each pixel."""
 
-    def __init__(self, colours: Float, members: NDArray[np.bool_], radius: int, noise: float) -> None:
+    def __init__(self, colours: F32, members: NDArray[np.bool_], radius: int) -> None:
         weight = members.astype(np.float32)
         side = 2 * max(radius, 2) + 1
 
-        def total(values: Float) -> Float:
+        def total(values: F32) -> F32:
             return np.asarray(
                 cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32
             )
 
         # sums of squares about the mean of all members, to keep float32's precision
-        self._middle: Float = colours[members].mean(axis=0) if members.any() else np.zeros(3, np.float32)
+        self._middle: F32 = colours[members].mean(axis=0) if members.any() else np.zeros(3, np.float32)
         centred = colours - self._middle
         self._count = total(weight)
         self._mean = total(centred * weight[..., None])
         self._products = [total(centred[..., i] * centred[..., j] * weight) for i, j in _PAIRS]
-        self._noise = noise
 
     def at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Local:
         """Return the distributions at N pixels."""
-        count: Float = self._count[rows, columns]
-        safe: Float = np.maximum(count, np.float32(1))
-        mean: Float = self._mean[rows, columns] / safe[:, None]
-        spread: list[Float] = [
+        count: F32 = self._count[rows, columns]
+        safe: F32 = np.maximum(count, np.float32(1))
+        mean: F32 = self._mean[rows, columns] / safe[:, None]
+        spread: list[F32] = [
             product[rows, columns] / safe - mean[:, i] * mean[:, j]
             for product, (i, j) in zip(self._products, _PAIRS, strict=True)
         ]
-        certainty: Float = np.minimum(count / _SURE_COUNT_PX, np.float32(1))
-        return _Local(mean + self._middle, spread, certainty, self._noise)
+        certainty: F32 = np.minimum(count / _SURE_COUNT_PX, np.float32(1))
+        return _Local(mean + self._middle, spread, certainty)
 
 
 @dataclass
 class _Local:
     """One normal distribution of colours for each of N pixels."""
 
-    mean: Float
-    spread: list[Float]
-    certainty: Float
+    mean: F32
+    spread: list[F32]
+    certainty: F32
     """From 0 to 1, by the number of members in the window."""
-    noise: float
 
-    def log_likelihood(self, values: Float, shade: float = 1.0) -> Float:
+    def log_likelihood(self, values: F32, shade: float = 1.0) -> F32:
         """Return the log likelihood [N] of values [N, 3] under colours that are ``shade`` times as bright."""
-        extra = np.float32(self.noise**2)
+        extra = np.float32(_NOISE_LEVELS**2)
         a, b, c, d, e, f = (np.float32(shade * shade) * s for s in self.spread)
         a, d, f = a + extra, d + extra, f + extra
         x, y, z = (values - np.float32(shade) * self.mean).T
@@ -195,3 +178,38 @@ def _largest(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     if count < 2:
         return mask > 0
     return np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+
+
+def read_mask(source: MaskSource, photo: Photo) -> NDArray[np.bool_]:
+    """Return the mask [H, W] of ``photo.picture``, true on the person.
+
+    A file is white or opaque on the person, black or transparent elsewhere, and has the photograph's upright size.
+    Raises FormatError, one line.
+    """
+    if isinstance(source, np.ndarray):
+        return _checked(_array(source, photo), "the mask")
+    drawn = read_photo(source, max(photo.picture.shape[:2]))
+    if drawn.size != photo.size:
+        raise FormatError(
+            f"{source}: the mask has {drawn.size[0]} x {drawn.size[1]} pixels, its picture {photo.size[0]} x "
+            f"{photo.size[1]} (upright); draw it over the picture, at the same size"
+        )
+    values = drawn.picture.max(axis=2) if drawn.alpha is None else drawn.alpha
+    return _checked(values > 127, str(source))
+
+
+def _array(mask: NDArray[np.bool_], photo: Photo) -> NDArray[np.bool_]:
+    if mask.dtype != np.bool_ or mask.shape != photo.picture.shape[:2]:
+        raise FormatError(
+            f"a mask needs booleans {photo.picture.shape[:2]}, one for each pixel, not {mask.dtype} {mask.shape}"
+        )
+    return mask
+
+
+def _checked(mask: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
+    share = float(mask.mean())
+    if not _MIN_FRACTION <= share <= _MAX_FRACTION:
+        raise FormatError(
+            f"{name}: {share:.1%} of the mask are white, which is not a person; make the person white, all else black"
+        )
+    return mask

@@ -10,10 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from glsplat.errors import FormatError
-from glsplat.extras.authoring.body.open_body import BETAS, Body, open_body
+from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.fit.body_fit import (
     MAX_FIGURE_PX,
     BodyFit,
@@ -31,8 +29,6 @@ from glsplat.extras.authoring.fit.solver import BodySolver, KnownShape
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
 
-F64 = NDArray[np.float64]
-
 _KEY_VIEWS = 8  # solved jointly
 _DRESSING_ROUNDS = 2  # of posing the views to the dressed body and dressing it again
 
@@ -48,19 +44,14 @@ def key_views(turns: Sequence[float], count: int = _KEY_VIEWS) -> list[int]:
 
 
 def fit_turning(
-    views: Sequence[View],
-    height: float | None = None,
-    body: Body | None = None,
-    progress: Callable[[float], None] = lambda done: None,
+    views: Sequence[View], height: float | None = None, progress: Callable[[float], None] = lambda done: None
 ) -> BodyFit:
     """Fit the open body to pictures of one person in about one pose, with ``turn`` known to some 20 degrees.
 
-    The camera stands still or moves around at one height. ``progress`` is called with the fraction done. Raises
-    FormatError; ``problem`` of the fit reports that it did not converge.
+    The camera stands still or moves around at one height. ``progress`` is called with the fraction done.
+    ``problem`` of the fit reports that it did not converge.
     """
-    if len(views) < 2:
-        raise FormatError("a fit of a turning person needs at least two pictures")
-    body = body or open_body()
+    body = open_body()
     small = [view.smaller(MAX_FIGURE_PX) for view in views]
     keys = key_views([view.turn for view in small])
     first = BodySolver(body, landmarks(), [small[key] for key in keys], height)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, MAX_SIDE_PX
+from glsplat.extras.authoring.photo.photo_file import MAX_PIXELS, MAX_SIDE_PX, reduced
 from glsplat.io.files import open_regular
 
 MIN_FRAMES = 8
@@ -115,7 +115,7 @@ def _chosen(
             _check_shape(picture, path)
             sharp, interval = _sharpness(picture), candidates[number]
             if interval not in best or sharp > best[interval][0]:
-                best[interval] = sharp, _limited(picture)
+                best[interval] = sharp, np.ascontiguousarray(reduced(picture, MAX_SIDE_PX)[..., ::-1])
     return [best[key][1] for key in sorted(best)], total
 
 
@@ -129,12 +129,3 @@ def _sharpness(picture: NDArray[np.uint8]) -> float:
     scale = min(1.0, _SHARPNESS_PX / min(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
-
-
-def _limited(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height, width = picture.shape[:2]
-    if max(height, width) > MAX_SIDE_PX:
-        scale = MAX_SIDE_PX / max(height, width)
-        size = max(round(width * scale), 1), max(round(height * scale), 1)
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return np.ascontiguousarray(picture[..., ::-1])

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from glsplat.avatar import Avatar
 from glsplat.errors import FormatError, GlsplatError, one_line
 from glsplat.extras.authoring.importers.bind import bind_to_mesh
-from glsplat.extras.authoring.reconstruct.plugins import Plugins
+from glsplat.extras.authoring.reconstruct.registry import Plugins
 from glsplat.extras.evaluate.comparison.participant import Participant, digest_of
 from glsplat.extras.rigs.meshes.write import save_gltf_mesh
 from glsplat.formats import all_formats, load_content, save

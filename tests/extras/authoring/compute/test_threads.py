@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from glsplat.extras.authoring.compute.conjugate_gradients import conjugate_gradients
+from glsplat.extras.authoring.compute.solvers import conjugate_gradients
 from glsplat.extras.authoring.compute.threads import (
     _openblas,
     locked_cached_property,

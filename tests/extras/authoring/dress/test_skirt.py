@@ -10,9 +10,8 @@ import pytest
 
 from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.body.segments import hand_weights
-from glsplat.extras.authoring.dress.coat import coat_hem
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
-from glsplat.extras.authoring.dress.skirt import hem_of, with_bare_hands, with_skirt
+from glsplat.extras.authoring.dress.skirt import coat_hem, hem_of, with_bare_hands, with_skirt
 from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.geometry.raster import visible_faces

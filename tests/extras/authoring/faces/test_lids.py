@@ -9,12 +9,9 @@ import numpy as np
 
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.faces.blinks import EYEBALL_RETREAT_M
-from glsplat.extras.authoring.faces.eyeballs import Eyeball, fit_eyeballs
+from glsplat.extras.authoring.faces.eyes import EYEBALL_RETREAT_M, Eyeball, Opening, fit_eyeballs, lid_edges
 from glsplat.extras.authoring.faces.lashes import LASH_SPLATS, with_lashes
-from glsplat.extras.authoring.faces.lid_colours import lid_colours
-from glsplat.extras.authoring.faces.lids import with_lids
-from glsplat.extras.authoring.faces.openings import Opening, lid_edges
+from glsplat.extras.authoring.faces.lids import lid_colours, with_lids
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import SH_C0, Splats
@@ -35,7 +32,7 @@ def painted() -> Avatar:
     avatar = with_shapes(avatar_on(mesh, 3000), mesh)
     splats, means = avatar.splats, avatar.splats.means.astype(np.float64)
     rgb = np.tile(SKIN, (len(means), 1))
-    for ball in fit_eyeballs(mesh, "eyes"):
+    for ball in fit_eyeballs(mesh):
         ways = means - ball.centre
         far = np.linalg.norm(ways, axis=1)
         rgb[(ways[:, 1] < 0) & (far < 0.05)] += (0.06, 0, 0)
@@ -149,7 +146,7 @@ def test_other_splats_stay_and_without_visible_skin_lids_are_grey() -> None:
 
 def test_lashes_come_before_the_lid_and_turn_down() -> None:
     bare = painted()
-    given = with_lashes(bare, face().mesh, eyes(), light=False)
+    given = with_lashes(bare, face().mesh, eyes())
     first, end = len(bare.splats), len(bare.splats) + LASH_SPLATS * len(eyes())
     made = with_lids(given, face().mesh, eyes(), range(first, end))
     posed = [winking(made, much).means for much in (0.0, 1.0)]

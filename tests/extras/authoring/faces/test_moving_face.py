@@ -10,9 +10,8 @@ import pytest
 
 from glsplat import reference
 from glsplat.avatar import Avatar
-from glsplat.extras.authoring.body.enamel import paint_teeth
-from glsplat.extras.authoring.body.mouth_lining import mouth_lining
-from glsplat.extras.authoring.body.open_face import open_face
+from glsplat.extras.authoring.body.open_face import mouth_lining, open_face
+from glsplat.extras.authoring.body.teeth import paint_teeth
 from glsplat.extras.authoring.faces.moving_face import FACE_SPLATS, with_face
 from glsplat.extras.authoring.geometry.mesh_shapes import with_shapes
 from glsplat.extras.authoring.geometry.visibility import EYES

@@ -11,8 +11,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import GlsplatError
-from glsplat.extras.authoring.finish.fitted_levels import FittedConfig, fitted_levels, reduced
 from glsplat.extras.authoring.finish.level_merge import merged
+from glsplat.extras.authoring.finish.levels import FittedConfig, fitted_levels, reduced, with_levels
 from glsplat.extras.authoring.optimize.target_pictures import TargetPicture, ViewConfig
 from glsplat.extras.authoring.sample.surface import SamplerConfig, make_avatar
 from glsplat.splats import Level
@@ -43,10 +43,9 @@ def test_a_fitted_level_is_closer_to_the_finest_than_a_merged_one(finest: Avatar
 
 
 def test_levels_grow_fewer(finest: Avatar) -> None:
-    for counts in ([900], [300, 300], [120, 300], [0]):
+    for counts in ([900], [300, 300], [120, 300], [0], []):
         with pytest.raises(GlsplatError, match="fewer and fewer splats below 900"):
-            fitted_levels(finest, counts, config=QUICK)
-    assert fitted_levels(finest, [], config=QUICK) == ()
+            with_levels(finest, counts)
 
 
 def test_levels_and_cones_are_dropped(finest: Avatar) -> None:

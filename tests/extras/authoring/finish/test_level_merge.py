@@ -13,8 +13,7 @@ from glsplat.avatar import Avatar
 from glsplat.errors import GlsplatError
 from glsplat.extras.authoring.finish.level_measure import MeasureConfig
 from glsplat.extras.authoring.finish.level_merge import Cover, area_of, covered, merged, merged_levels
-from glsplat.extras.authoring.finish.levels import halves, with_merged_levels
-from glsplat.gl.context import Context
+from glsplat.extras.authoring.finish.levels import halves, with_levels
 from glsplat.splats import Splats
 from tests.scenes import cloud, limb
 
@@ -103,17 +102,17 @@ def test_errors() -> None:
 
 @pytest.mark.usefixtures("gl")
 @pytest.mark.gl
-def test_levels_are_measured_and_replace_old_ones(context: Context) -> None:
+def test_levels_are_measured_and_replace_old_ones() -> None:
     scene = replace(cloud(400, spread=0.2), antialias=True)
     config = MeasureConfig(psnr=24, directions=2, inside=0, size=96)
     stages: list[str] = []
-    made = with_merged_levels(scene, [200, 100], config, lambda stage, done: stages.append(stage), context)
+    made = with_levels(scene, [200, 100], config=config, progress=lambda stage, done: stages.append(stage))
     assert made.levels and all(level.psnr is not None and level.psnr >= 24 for level in made.levels)
     assert {"merging splats", "matching the coverage of levels", "measuring levels"} == set(stages)
-    again = with_merged_levels(made, [200, 100], config, context=context)
+    again = with_levels(made, [200, 100], config=config)
     assert [level.density for level in again.levels] == [level.density for level in made.levels]
-    with pytest.raises(GlsplatError, match="fewer splats than the finest, which has 400"):
-        with_merged_levels(scene, [400], config, context=context)
+    with pytest.raises(GlsplatError, match="fewer and fewer splats below 400, not 400"):
+        with_levels(scene, [400], config=config)
 
 
 def test_halves() -> None:

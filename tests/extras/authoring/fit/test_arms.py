@@ -10,10 +10,9 @@ import pytest
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.landmarks import landmarks
-from glsplat.extras.authoring.fit.prior import HINGES, MEAN, POSED, SPREAD, PosePrior
+from glsplat.extras.authoring.fit.prior import HINGES, MEAN, POSED, SPREAD, ArmMixture, PosePrior, arm_mixture
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.arms import ArmMixture, arm_mixture
-from glsplat.extras.authoring.fit.standing.stances import stances_of
+from glsplat.extras.authoring.fit.stances import stances_of
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import find_person
 from glsplat.rotations import rotation_matrices

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit import body_fit
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body
@@ -103,9 +102,3 @@ def test_what_is_no_person_is_said() -> None:
     block[60:420, 40:280] = True
     fit = fit_body([View(block, view.landmarks, view.visibility, FOCAL)], stature)
     assert "covers" in fit.problem and "front picture" in fit.problem
-
-
-@pytest.mark.parametrize("height", [174.0, 0.0, float("nan")])
-def test_a_height_is_in_metres(height: float) -> None:
-    with pytest.raises(FormatError, match=r"metres from 0\.5 to 2\.5"):
-        fit_body([plain()[0]], height)

@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, Points, open_body
 from glsplat.extras.authoring.fit.body_fit import BodyFit, assemble_fit
 from glsplat.extras.authoring.fit.details import fit_details
@@ -20,9 +19,8 @@ from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES, MEAN
 from glsplat.extras.authoring.fit.view import View, facing
 from glsplat.extras.authoring.networks.face import Face
-from glsplat.extras.authoring.networks.hand import Hand
 from glsplat.extras.authoring.networks.network import Crop
-from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson
+from glsplat.extras.authoring.networks.people import SIDES, DetectedPerson, Hand
 from glsplat.extras.authoring.networks.person import DetectedBody as Readings
 from glsplat.skinning.smplx import JOINT_NAMES
 
@@ -86,7 +84,7 @@ def bent(side: str) -> np.ndarray:
 
 
 def hand_at(points: np.ndarray, presence: float = 0.97) -> Hand:
-    return Hand(points, np.zeros((21, 3)), presence, CROP)
+    return Hand(points, presence)
 
 
 def off(found: np.ndarray, true: np.ndarray, side: str) -> float:
@@ -211,5 +209,3 @@ def test_nothing_to_go_by_leaves_the_body() -> None:
     nothing = hand_at(np.zeros((21, 2)), 0.0)
     hidden = DetectedPerson(NOBODY, face_at(other_face(), presence=0.1), nothing, nothing)
     assert fit_details(fit, views, [None]) is fit and fit_details(fit, views, [hidden]) is fit
-    with pytest.raises(FormatError, match="a view and a person each of 1, not 1, 2"):
-        fit_details(fit, views, [None, None])

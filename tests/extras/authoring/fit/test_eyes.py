@@ -9,12 +9,10 @@ import pytest
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.fit import eyes
 from glsplat.extras.authoring.fit.eyes import eyeball, iris_angle, read_eyes
-from glsplat.extras.authoring.networks.eye import Eye, EyeLook, read_eye
-from glsplat.extras.authoring.networks.face import Face
+from glsplat.extras.authoring.networks.face import Eye, EyeLook, Face, read_eye
 from glsplat.extras.authoring.networks.network import Crop
 
 IRIS, WHITE, SKIN, HAIR = (40, 80, 110), (180, 170, 165), (190, 140, 110), (70, 60, 50)
-CROP = Crop(0.0, 0.0, 1.0)
 
 
 def drawn(x: float = 40.0, hair: float = 0.0, height: float = 8.0) -> tuple[np.ndarray, Eye]:
@@ -31,7 +29,7 @@ def drawn(x: float = 40.0, hair: float = 0.0, height: float = 8.0) -> tuple[np.n
     picture[(inside > 0) & (far < 2)] = 5
     picture[: int(25 + 10 * hair), int(x) - 20 : int(x) + 20] = np.where(hair > 0, HAIR, SKIN)
     around = np.array([(0, 0), (5, 0), (0, 5), (-5, 0), (0, -5)])
-    return picture, Eye(np.array([x, 30]) + around, np.concatenate([lids, np.zeros((55, 2))]), CROP)
+    return picture, Eye(np.array([x, 30]) + around, np.concatenate([lids, np.zeros((55, 2))]))
 
 
 def test_an_eye_is_read() -> None:
@@ -51,7 +49,7 @@ def test_noise_is_no_eye(rng: np.random.Generator) -> None:
     picture, eye = drawn()
     assert not read_eye(rng.integers(90, 110, picture.shape).astype(np.uint8), eye).visible
     for place in (-500.0, 5000.0, np.nan):  # beside the picture
-        assert not read_eye(picture, Eye(eye.iris + place, eye.lids + place, CROP)).visible
+        assert not read_eye(picture, Eye(eye.iris + place, eye.lids + place)).visible
 
 
 def test_the_hidden_eye_has_the_others_colours(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +57,7 @@ def test_the_hidden_eye_has_the_others_colours(monkeypatch: pytest.MonkeyPatch) 
     seen, other = drawn(120.0)
     picture = np.concatenate([hidden[:, :80], seen[:, 80:]], axis=1)
     monkeypatch.setattr(eyes, "eye_of", lambda picture, face, side: eye if side == "right" else other)
-    looks = read_eyes(picture, Face(np.zeros((468, 3)), 1.0, CROP))
+    looks = read_eyes(picture, Face(np.zeros((468, 3)), 1.0, Crop(0.0, 0.0, 1.0)))
     assert looks["left"].visible and not looks["right"].visible
     assert (looks["right"].iris_colour == looks["left"].iris_colour).all() and np.isnan(looks["right"].radius)
 

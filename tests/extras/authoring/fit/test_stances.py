@@ -9,13 +9,12 @@ from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.body.segments import arm_layers, forearms
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body, fit_clothes
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
+from glsplat.extras.authoring.fit.limbs import LIMBS, before_trunk, beside_arms, hidden_arms, limb_uncertainty
 from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES
 from glsplat.extras.authoring.fit.solver import BodySolver
-from glsplat.extras.authoring.fit.standing.limbs import before_trunk, beside_arms, hidden_arms
-from glsplat.extras.authoring.fit.standing.stances import stances_of, trusted_world
-from glsplat.extras.authoring.fit.standing.uncertainty import LIMBS, limb_uncertainty
+from glsplat.extras.authoring.fit.stances import stances_of, trusted_world
 from glsplat.extras.authoring.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
 from tests.extras.authoring.made_up import FOCAL, posed_view

@@ -8,8 +8,8 @@ from glsplat import reference
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at, pinhole
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.geometry.nearest import nearest_on
 from glsplat.extras.authoring.geometry.posed import posed_splats
+from glsplat.extras.authoring.geometry.surface_points import nearest_on
 from glsplat.extras.authoring.importers.bind import bind_to_mesh
 from glsplat.extras.authoring.importers.lhm_dump import load_lhm_dump
 from glsplat.meshes import MeshPart, RiggedMesh

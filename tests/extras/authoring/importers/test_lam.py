@@ -236,7 +236,7 @@ def test_hostile_zips(packed, tmp_path, monkeypatch):
 
     bomb = packed({"skin.glb": b" " * ((1 << 20) + 1)})
     assert bomb.stat().st_size < 1 << 14
-    monkeypatch.setitem(lam._MAX_MEMBER_BYTES, "skin.glb", 1 << 20)
+    monkeypatch.setattr(lam, "_MAX_MEMBER_BYTES", 1 << 20)
     monkeypatch.setattr(zipfile.ZipFile, "read", lambda *_: pytest.fail("unpacked"))
     refused(bomb, "skin.glb", "1 MiB")
     monkeypatch.undo()

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from glsplat.errors import FormatError
-from glsplat.extras.authoring.importers.scans import read_obj_person
+from glsplat.extras.authoring.importers.bind import read_obj_person
 from glsplat.extras.formats.person import read_body
 
 

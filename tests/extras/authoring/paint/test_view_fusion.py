@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from glsplat.extras.authoring.body.mouth_lining import mouth_lining
+from glsplat.extras.authoring.body.open_face import mouth_lining
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.view_fusion import fusion_of

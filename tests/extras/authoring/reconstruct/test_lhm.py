@@ -73,7 +73,8 @@ def test_lhm_runs_in_its_own_process_and_its_dump_is_read(installation, monkeypa
     lhm = installation(
         "assert os.getcwd() == os.path.dirname(os.path.abspath(sys.argv[0]))\n"
         "assert 'PYTHONPATH' not in os.environ and not sys.stdin.read()\n"
-        "assert sorted(os.listdir(args.folder)) == ['lhm_script.py', 'mask.png', 'picture.png']\n"
+        "names = sorted(os.listdir(args.folder))\n"
+        "assert names == ['errors.txt', 'lhm_script.py', 'mask.png', 'output.txt', 'picture.png']\n"
         "assert args.model == 'LHM-500M' and args.head == ['0', '0', '0', '0']\n"
         "import cv2\n"
         "assert cv2.imread(args.folder + '/picture.png')[0, 0].tolist() == [50, 100, 200]\n"

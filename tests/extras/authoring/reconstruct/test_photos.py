@@ -12,7 +12,7 @@ import pytest
 from glsplat.errors import CaptureError, FormatError, GlsplatError
 from glsplat.extras.authoring.check.capture import Finding
 from glsplat.extras.authoring.check.photos import check_photos
-from glsplat.extras.authoring.reconstruct import from_photos, plugins, registry
+from glsplat.extras.authoring.reconstruct import from_photos, registry
 from glsplat.extras.authoring.reconstruct.photos import reconstruct
 from glsplat.extras.authoring.reconstruct.reconstructor import Options
 from glsplat.formats import load, save
@@ -183,7 +183,7 @@ def installed(monkeypatch):
             for name, several in values.items()
             for value in ([several] if isinstance(several, str) else several)
         )
-        monkeypatch.setattr(plugins, "entry_points", lambda **which: entries.select(**which))
+        monkeypatch.setattr(registry, "entry_points", lambda **which: entries.select(**which))
 
     return install
 

@@ -22,7 +22,7 @@ from tests.extras.authoring.paint.scene import photographed
 
 def test_each_lip_s_splats_go_with_their_own_lip() -> None:
     mesh = person()
-    face = with_expressions(mesh, np.arange(len(mesh.vertices)))
+    face = with_expressions(mesh)
     opens = face.morphs.moved(Pose(np.zeros((55, 3)), expression={"jawOpen": 1.0}), len(mesh.vertices))
     down = np.linalg.norm(opens, axis=1)
     rng = np.random.default_rng(4)

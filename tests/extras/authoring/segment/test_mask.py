@@ -13,8 +13,8 @@ from glsplat.errors import FormatError
 from glsplat.extras.authoring.networks.network import Crop
 from glsplat.extras.authoring.networks.person import DetectedBody, bounds
 from glsplat.extras.authoring.photo.photo_file import decode_photo
-from glsplat.extras.authoring.segment.mask import MaskConfig, person_mask
-from glsplat.extras.authoring.segment.mask_file import read_mask
+from glsplat.extras.authoring.segment import mask as mask_module
+from glsplat.extras.authoring.segment.mask import person_mask, read_mask
 from tests.extras.authoring.captures import capture, needs_networks
 
 
@@ -53,13 +53,14 @@ def made_up() -> tuple[np.ndarray, np.ndarray, np.ndarray, DetectedBody]:
     )
 
 
-def test_the_outline_is_found_and_the_shadow_left_out() -> None:
+def test_the_outline_is_found_and_the_shadow_left_out(monkeypatch) -> None:
     picture, true, shadow, body = made_up()
     mask = person_mask(picture, body)
     assert iou(body.mask > 0.5, true) < 0.92
     assert iou(mask, true) > 0.975
     assert (body.mask > 0.5)[shadow].mean() > 0.5 and mask[shadow].mean() < 0.35
-    unaware = person_mask(picture, body, MaskConfig(shadow_log_odds=1e6))
+    monkeypatch.setattr(mask_module, "_SHADOW_LOG_ODDS", 1e6)
+    unaware = person_mask(picture, body)
     assert unaware[shadow].mean() > mask[shadow].mean() + 0.25
     assert cv2.connectedComponents(mask.astype(np.uint8))[0] == 2
 

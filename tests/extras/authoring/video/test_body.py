@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from glsplat.errors import FormatError
 from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.fit import prior
 from glsplat.extras.authoring.fit.landmarks import LANDMARK_COUNT, landmarks
@@ -35,13 +34,6 @@ def test_a_side_is_a_turn(side: str, turn: float, left: tuple[int, ...], front: 
     assert (view.facing == np.stack([left, (0, -1, 0), front], axis=1)).all()
     assert blank(turn=turn + 40).side == blank(turn=turn - 40 + 360).side == side
     assert np.allclose(np.linalg.det(blank(turn=turn + 33).facing), 1)
-
-
-def test_a_turn_is_a_number() -> None:
-    with pytest.raises(FormatError, match="a view's turn needs degrees, not nan"):
-        blank(turn=float("nan"))
-    with pytest.raises(FormatError, match="at least two pictures"):
-        fit_turning([blank()])
 
 
 def test_derivatives_with_a_known_shape(rng: np.random.Generator) -> None:

@@ -15,8 +15,7 @@ from glsplat.extras.authoring.check.capture import Capture, Finding
 from glsplat.extras.authoring.networks.people import degrees_between
 from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.extras.authoring.video import frames as module
-from glsplat.extras.authoring.video.frames import check_frames, frames_of
-from glsplat.extras.authoring.video.turns import facings
+from glsplat.extras.authoring.video.frames import check_frames, facings, frames_of
 from tests.extras.authoring.video.test_film import picture, write
 
 PICTURE = np.full((40, 30, 3), 90, np.uint8)

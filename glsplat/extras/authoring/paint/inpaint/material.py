@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.dress.coat import unlike
+from glsplat.extras.authoring.dress.skirt import unlike
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.rotations import lengths
 

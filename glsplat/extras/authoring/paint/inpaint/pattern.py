@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
-from glsplat.extras.authoring.dress.coat import unlike
+from glsplat.extras.authoring.dress.skirt import unlike
 
 F64 = NDArray[np.float64]
 

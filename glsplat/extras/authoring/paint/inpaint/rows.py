@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.dress.coat import unlike
+from glsplat.extras.authoring.dress.skirt import unlike
 from glsplat.rotations import component_sums, lengths
 
 F64 = NDArray[np.float64]

@@ -1,19 +1,22 @@
-"""Find the openings of eyes: where lids end before an eyeball, by rays from its middle."""
+"""Find eyeballs and the openings of their lids, and make blinks that end where the lids meet."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glsplat.extras.authoring.faces.eyeballs import Eyeball
+from glsplat.arrays import F64
+from glsplat.extras.authoring.body.open_body import open_body
+from glsplat.extras.authoring.fit.eyes import fitted_sphere
+from glsplat.extras.authoring.geometry.visibility import EYES
 from glsplat.meshes import RiggedMesh
+from glsplat.skinning.smplx import JOINT_NAMES
 
-F64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
 _SIDES_RAD = np.radians(np.linspace(-62, 62, 63))  # ray directions, to the left ...
 _HEIGHTS_RAD = np.radians(np.linspace(-50, 50, 101))  # ... and up
 _MAX_START_STEPS = 25  # of height from the middle, at most, to the start of an opening
@@ -25,6 +28,31 @@ _ABOVE_WEIGHT = 0.75  # of angles above an opening: there a lid continues
 # radii of the eyeball, at least, of lids that lie on it, and of those that it pokes through
 _MIN_LID_RADII, _MIN_POKED_LID_RADII = 0.9, 1.0
 _MIN_SIDES = 8  # directions in which an open eye is open
+BLINK_SHAPES = ("eyeBlinkLeft", "eyeBlinkRight")
+EYEBALL_RETREAT_M = np.array([0.0, 0.0, -0.003])
+"""Movement of eyeballs as lids close, as real eyes have (Evinger, Shaw, Peck, Manning and Baker 1984)."""
+_CLOSED_QUANTILE = 0.8  # of the opening's width that must be closed; lashes cover the corners
+_PRESSURE = 0.02  # added to the shape's weight: lids press
+
+
+@dataclass(frozen=True, slots=True)
+class Eyeball:
+    """The sphere of an eyeball."""
+
+    joint: str
+    centre: F64  # [3] metres
+    radius: float  # metres
+
+
+def fit_eyeballs(mesh: RiggedMesh) -> list[Eyeball]:
+    """Return spheres fitted to both eyes of a mesh whose first vertices are the open body's."""
+    return [Eyeball(joint, *fitted_sphere(mesh.vertices[_ball_vertices(joint)])) for joint in EYES]
+
+
+def _ball_vertices(joint: str) -> Indices:
+    """Return the open body's vertices of the eyeball that turns about ``joint``."""
+    body = open_body()
+    return np.flatnonzero(~body.skin & (body.part == JOINT_NAMES.index(joint)))
 
 
 class LidEdges(NamedTuple):
@@ -151,3 +179,36 @@ def _first_hits(corners: F64, rays: F64, min_distance: float) -> tuple[Indices, 
         far[begin : begin + _RAYS_AT_ONCE] = t[np.arange(len(some)), nearest]
         best[begin : begin + _RAYS_AT_ONCE] = np.where(np.isfinite(far[begin : begin + _RAYS_AT_ONCE]), nearest, -1)
     return best, far
+
+
+def blink_shape_of(ball: Eyeball) -> str:
+    """Return the expression that closes an eye."""
+    return BLINK_SHAPES[EYES.index(ball.joint)]
+
+
+def closing_weight(mesh: RiggedMesh, eye: Opening) -> float:
+    """Return the weight of eyeBlink at which the upper lid of an eye of the mesh meets the lower one.
+
+    The open body's blink fits its own eyes; in narrower ones the upper lid would move on over the cheek.
+    """
+    assert mesh.morphs is not None
+    edges, moves = eye.edges, mesh.morphs.dense(blink_shape_of(eye.ball), len(mesh.vertices))
+    upper, lower = (moves[mesh.faces[face], 1].mean(axis=1) for face in (edges.upper_face, edges.lower_face))
+    opening = edges.upper_at[:, 1] - edges.lower_at[:, 1]
+    return min(float(np.quantile(opening / np.maximum(lower - upper, 1e-4), _CLOSED_QUANTILE)) + _PRESSURE, 1.0)
+
+
+def with_blink(mesh: RiggedMesh, shares: Mapping[str, float]) -> RiggedMesh:
+    """Return the mesh with blinks scaled by ``shares``, and eyeballs that retreat from closing lids.
+
+    Shapes are linear: half-way down, a lid passes the front of the eyeball.
+    """
+    morphs = mesh.morphs
+    assert morphs is not None
+    weights = [shares.get(name, 1.0) for name in morphs.names]
+    scaled_morphs = replace(morphs, offsets=morphs.offsets * np.repeat(weights, np.diff(morphs.starts))[:, None])
+    balls = {}
+    for eye, name in zip(EYES, BLINK_SHAPES, strict=True):
+        ball = _ball_vertices(eye)
+        balls[name] = ball, np.tile(EYEBALL_RETREAT_M, (len(ball), 1))
+    return replace(mesh, morphs=scaled_morphs.plus(balls))

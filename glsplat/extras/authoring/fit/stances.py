@@ -9,33 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import BETAS, Body
-from glsplat.extras.authoring.compute.levenberg import least_squares
+from glsplat.extras.authoring.compute.solvers import least_squares
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
-from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior
-from glsplat.extras.authoring.fit.standing.arms import arm_mixture
+from glsplat.extras.authoring.fit.prior import ARM_BONES, HINGES, MEAN, POSED, SPREAD, PosePrior, arm_mixture
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.networks.people import degrees_between
+from glsplat.extras.authoring.networks.person import LANDMARKS
 from glsplat.rotations import unit_vectors
 from glsplat.skinning.smplx import JOINT_NAMES
 
-F64 = NDArray[np.float64]
-
 MIN_ASIDE_RAD = 0.35
 """Turn of a person who has turned aside; the network's world landmarks underestimate larger turns."""
-
 _SIDES = ("left", "right")
 _ARM_JOINTS, _LEG_JOINTS = ("shoulder", "elbow"), ("hip", "knee")
-_LANDMARKS = {
-    "shoulder": 11,
-    "elbow": 13,
-    "wrist": 15,
-    "hip": 23,
-    "knee": 25,
-    "ankle": 27,
-}  # left; right: one more
 _LEG_BONES = tuple(
     (f"{side}_{upper}", f"{side}_{lower}") for side in _SIDES for upper, lower in (("hip", "knee"), ("knee", "ankle"))
 )
@@ -108,7 +97,7 @@ def trusted_world(view: View) -> F64 | None:
     """Return the view's world landmarks [33, 3] if they face the side that the view shows, else None."""
     if view.world is None:
         return None
-    across = _landmark(view.world, "left_shoulder") - _landmark(view.world, "right_shoulder")
+    across = view.world[LANDMARKS.index("left_shoulder")] - view.world[LANDMARKS.index("right_shoulder")]
     turn = float(np.degrees(np.arctan2(across[2], across[0])))
     return view.world if degrees_between(turn, view.turn) <= _MAX_TURN_ERROR_DEG else None
 
@@ -161,8 +150,4 @@ def _angles_along(world: F64, view: View, body: Body) -> tuple[F64, float]:
 
 def _directions(world: F64, bones: Sequence[tuple[str, str]]) -> F64:
     """Return unit vectors [B, 3] along bones between landmarks."""
-    return unit_vectors(np.array([_landmark(world, end) - _landmark(world, start) for start, end in bones]))
-
-
-def _landmark(world: F64, joint: str) -> F64:
-    return np.asarray(world[_LANDMARKS[_plain(joint)] + joint.startswith("right_")])
+    return unit_vectors(np.array([world[LANDMARKS.index(end)] - world[LANDMARKS.index(start)] for start, end in bones]))

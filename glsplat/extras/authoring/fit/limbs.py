@@ -1,36 +1,40 @@
-"""Relate arms to the trunk: where they hide its outline, and how much of them lies behind it."""
+"""Relate arms to the trunk, which they hide or which hides them, and estimate the uncertainty of a fit's limbs."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from glsplat.arrays import F64
 from glsplat.camera import Camera
 from glsplat.extras.authoring.body.open_body import Body
-from glsplat.extras.authoring.body.segments import arm_layers, forearms, hand_weights
+from glsplat.extras.authoring.body.segments import arm_layers, forearms
 from glsplat.extras.authoring.fit.outline import projected_mask
+from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.geometry.raster import visible_faces
 from glsplat.extras.authoring.geometry.surface_points import triangle_areas
 from glsplat.meshes import MeshPart, RiggedMesh, vertex_normals
 from glsplat.skinning.skeleton import Skeleton
 from glsplat.skinning.smplx import JOINT_NAMES, PARENTS
 
-F64 = NDArray[np.float64]
-
 _MAX_FIGURE_PX = 300.0  # height of the person in the depth map
 _MIN_DEPTH_M = 0.01  # of an arm behind the trunk's front
 _MIN_VISIBILITY = 0.6  # of a wrist whose forearm lies in front of the trunk
 _SAMPLES = 60  # vertices of a forearm
 _MIN_INSET_FRACTION = 0.015  # of the person's height, from the trunk's outline; nearer arms may hang beside it
-
-
-@lru_cache(maxsize=1)
-def hands(body: Body) -> NDArray[np.bool_]:
-    """Return a mask [V] of the hands."""
-    return hand_weights(body) > 0.5
+LIMBS: dict[str, tuple[int, ...]] = {
+    "head": (0,),
+    "left arm": (13, 15),
+    "right arm": (14, 16),
+    "left leg": (25, 27),
+    "right leg": (26, 28),
+}
+"""Numbers of each limb's landmarks; the head's is the nose."""
+_MAX_UNCERTAINTY = 0.6  # of one leg, or of the head
 
 
 def beside_arms(
@@ -110,3 +114,24 @@ def _trunk(body: Body) -> RiggedMesh:
     part = MeshPart("trunk", body.faces[own], body.uv[own], np.full((1, 1, 4), 255, np.uint8))
     skeleton = Skeleton.from_joints(JOINT_NAMES, list(PARENTS), body.joints)
     return RiggedMesh(body.vertices, skeleton, body.skin_joints.astype(np.int64), body.skin_weights, (part,))
+
+
+def limb_uncertainty(view: View, hidden: tuple[float, float]) -> dict[str, float]:
+    """Return the uncertainty of each limb, from 0 (fully visible) to 1 (a guess).
+
+    It is 1 minus the visibility of the limb's least visible landmark; for an arm at least the fraction ``hidden``
+    (left, right) behind the trunk.
+    """
+    uncertainty = {limb: float(1 - view.visibility[list(marks)].min()) for limb, marks in LIMBS.items()}
+    for limb, share in zip(("left arm", "right arm"), hidden, strict=True):
+        uncertainty[limb] = max(uncertainty[limb], share)
+    return uncertainty
+
+
+def missing_part(uncertainty: Mapping[str, float], side: str) -> str:
+    """Return one line that names a part of the person that the ``side`` picture does not show, or an empty one."""
+    if min(uncertainty.get(f"{each} leg", 0.0) for each in ("left", "right")) > _MAX_UNCERTAINTY:
+        return f"the legs are not seen in the {side} picture"
+    if side == "front" and uncertainty.get("head", 0.0) > _MAX_UNCERTAINTY:
+        return f"the head is not seen in the {side} picture"
+    return ""
