@@ -19,7 +19,7 @@ from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.sample.cells import Cloud, avatar_of, skin_of, tessellate
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.scatter import PHOTO_SAMPLER
-from glsplat.extras.authoring.templates.hair import FittedHair, carved, scattered
+from glsplat.extras.authoring.templates.hair import MIN_ALPHA, FittedHair, carved, scattered
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear, to_srgb
@@ -36,7 +36,7 @@ HAIR_SPLATS = 8_000
 # a smaller sigma shows cracks, a larger one blurs the locks, which cells follow by their light and dark
 _SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85, color_weight=4.0, candidates=12)
 _POINTS_PER_SPLAT = 32
-_MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
+_MIN_FACE_FRACTION = 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
 _CONTRAST = 0.01, 0.08  # standard deviation of the locks' lightness
@@ -56,10 +56,10 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     shot = head.shot
     spots, face, rgba = scattered(mesh, HAIR_SPLATS * _POINTS_PER_SPLAT, rng)
     points = spots.at(mesh.vertices)
-    stays = carved(head, seen, points)[0]
+    stays = carved(head, seen, points)
     share = np.bincount(face, stays) / np.maximum(np.bincount(face), 1)
     stays &= share[face] > _MIN_FACE_FRACTION  # what is left of a carved lock would be dots
-    keep = np.flatnonzero(stays & (rgba[:, 3] > _MIN_ALPHA))
+    keep = np.flatnonzero(stays & (rgba[:, 3] > MIN_ALPHA))
     area = float(triangle_areas(mesh.vertices, mesh.faces).sum()) * len(keep) / len(points)
     spots, face, rgba, points = spots.take(keep), face[keep], rgba[keep], _drawn_back(head, points[keep])
     # cards have two sides: the outer one counts
@@ -92,7 +92,7 @@ def covered_by_hair(hair: FittedHair) -> Bools:
     """Return a mask [V] of the body's vertices under the template that the picture does not show as a face."""
     head = hair.head
     points = scattered(hair.mesh, HAIR_SPLATS, np.random.default_rng(0))[0].at(hair.mesh.vertices)
-    points = points[carved(head, hair.seen, points)[0]]
+    points = points[carved(head, hair.seen, points)]
     under = np.zeros(len(head.bare), bool)
     under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
     under &= ~np.any(ears_of(head.body), axis=0)  # few splats would blur them
