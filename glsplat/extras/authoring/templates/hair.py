@@ -215,6 +215,14 @@ def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHai
     return replace(hair, head=replace(head, shot=out[0])), out
 
 
+def haired(hair: FittedHair) -> Bools:
+    """Return a mask [V] of head and neck below a hat, whose hair is the template."""
+    out = hair.head.body.skin & vertices_of(hair.head.body, "head", "jaw", "neck")
+    if hair.seen.hat is not None:
+        out &= hair.head.plane_of(hair.head.bare)[:, 1] < hair.seen.hat
+    return out
+
+
 def _hair_end(seen: SeenHair) -> float:
     """Return the height in the head's plane down to which hair hangs on a back."""
     return float(np.quantile(seen.plane[:, 1], 0.01)) - _BEHIND_SHOULDERS_M

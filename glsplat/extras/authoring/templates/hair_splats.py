@@ -42,9 +42,10 @@ _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
 _CONTRAST = 0.01, 0.08  # standard deviation of the locks' lightness
 _LOCK_M = 0.01  # standard deviation of a blur that leaves light and shade, without locks
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.9  # of hair's colour, in its own shadow
-_SCALP_REACH_M, _NAPE_REACH_M, _CLOTH_REACH_M = 0.035, 0.018, 0.03  # from the template: what it covers
+_SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
 _MAX_SCALP_SIGMA_M = 0.012  # wider splats would show around the hair
-_CURTAIN_REACH_M = 0.008  # aside, from hair that hangs behind a neck
+_NEAR_POINTS = 24  # of as many as there are splats of a template: those around one
+_MAX_LOPSIDED = 0.03  # radians, seen from the head's middle, from a point to the middle of these
 _MIN_VISIBILITY = 0.15
 _BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -151,6 +152,17 @@ def _trust(head: HeadView, mask: Bools, there: F64, outwards: F64) -> F64:
     return smoothstep(facing, -0.05, 0.25) * shown * value_at(inner, pixels)
 
 
+def _under(points: F64, means: F64, middle: F64) -> Bools:
+    """Return [N] which ``means`` [N, 3] have hair outwards from the ``middle`` of the head, and all around that.
+
+    At an edge, wide splats would show beside the hair.
+    """
+    some = unit_vectors(points[:: max(1, len(points) // HAIR_SPLATS)] - middle)
+    outwards = unit_vectors(means - middle)
+    around = some[cKDTree(some).query(outwards, k=_NEAR_POINTS)[1]].mean(axis=1)
+    return lengths(around - outwards) < _MAX_LOPSIDED
+
+
 def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> Avatar:
     """Return the avatar whose hair painted on the head is a scalp below the template's ``points``.
 
@@ -170,11 +182,7 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     ears = np.any(ears_of(body), axis=0)
     if 2 * on_hair[ears & visible].sum() < (ears & visible).sum():
         hairy &= ~ears[vertex]  # both are skin, as painted
-    neck = shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 2]
-    behind = rest[vertex, 2] < neck
-    curtain = cKDTree(points[points[:, 2] < neck, :2])
-    hidden = behind & (curtain.query(means[mine, :2])[0] < _CURTAIN_REACH_M)
-    hairy &= hidden | (tree.query(means[mine])[0] < np.where(behind, _NAPE_REACH_M, _SCALP_REACH_M))
+    hairy &= _under(points, means[mine], head.middle) | (means[mine, 1] > rest[ears, 1].max())
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
     mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]

@@ -7,11 +7,13 @@ from functools import cache
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
+from glsplat.extras.authoring.paint.head import back_of_head, ears_of, vertices_of
 from glsplat.extras.authoring.sample.scatter import scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair, haired
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import HeadView, head_view, value_at
@@ -157,6 +159,40 @@ def test_hairline_and_fringe_choose_the_template_and_its_side() -> None:
             view = replace(head, shot=replace(head.shot, mask=head.shot.mask | mask))
             hair = fit_hair(view, seen, tuple(HAIR))
             assert hair is not None and hair.name == name
+
+
+def test_a_bob_is_hair_that_covers_the_ears() -> None:
+    head, drawn = pictured("bob01")
+    rows, columns = np.nonzero(drawn)
+    plane = head.plane(np.stack([columns, rows], axis=1) + 0.5)
+    ears = head.plane_of(head.bare[np.any(ears_of(head.body), axis=0)])[:, 1].min()
+    for end, length in ((ears - 0.008, "bob"), (ears + 0.02, "short")):
+        some = plane[:, 1] > end
+        mask = np.zeros_like(drawn)
+        mask[rows[some], columns[some]] = True
+        hair = fit_hair(head, SeenHair(mask, plane[some], None), ("bob01", "short01"))
+        assert hair is not None and hair.name.startswith(length)
+
+
+def test_ears_and_a_neck_below_the_hair_stay_skin_and_the_skull_under_it_does_not() -> None:
+    scene, hair = photographed("front"), fitted("short02")[1]
+    body, rng = hair.head.body, np.random.default_rng(0)
+    even = scatter(scene.mesh, 24_000, rng)
+    bare = even.avatar(scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), rng)
+    splats = with_template_hair(bare, hair, scene.light, rng).splats
+    skin = splats.sh[: len(bare.splats), 0, 0] * SH_C0 + 0.5 > 0.55
+    near = cKDTree(scene.mesh.vertices).query(bare.splats.means)[1]
+    end = splats.means[len(bare.splats) :, 1].min()
+    assert skin[np.any(ears_of(body), axis=0)[near]].all()
+    assert skin[vertices_of(body, "neck")[near] & (bare.splats.means[:, 1] < end)].all()
+    middle = hair.head.middle
+    behind = (bare.splats.means[:, 1] > middle[1]) & (bare.splats.means[:, 2] < middle[2] - 0.06)
+    assert skin[behind].mean() < 0.1
+    mask = haired(hair)
+    assert mask[hair.head.skull].all() and not mask[scene.mesh.vertices[:, 1] < 1.0].any()
+    light = scene.light
+    painted = back_of_head(body, scene.shots[0], light, np.array([0.5, 0.3, 0.2]), bald=mask)
+    assert np.allclose(painted.colour[mask & ~np.any(ears_of(body), axis=0)], (0.5, 0.3, 0.2))
 
 
 def test_the_head_is_bare_under_hair_that_its_outline_followed() -> None:
