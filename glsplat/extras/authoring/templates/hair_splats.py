@@ -70,7 +70,7 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     outwards[:, 1] = outwards[:, 1].clip(0, None)
     normals *= np.where(component_sums(normals * outwards) < 0, -1.0, 1.0)[:, None]
     own = to_linear(shot.rgb[seen.mask] / 255)
-    guess = _coloured(rgba[:, :3], own, _contrast(head, seen.mask))
+    guess = _coloured(rgba[:, :3], own, _contrast(head, seen.mask), points)
     there = head.camera(points)
     trust = _trust(head, seen.mask, there, unit_vectors(outwards) @ head.rotation.T)
     shade = light.shade(normals @ head.rotation.T)
@@ -121,11 +121,20 @@ def _contrast(head: HeadView, mask: Bools) -> float:
     return float(locks[inner].std()) if inner.any() else 0.0
 
 
-def _coloured(rgb: F64, own: F64, contrast: float) -> F64:
-    """Return linear colours [M, 3]: the template's light and dark at a contrast, in the picture's ``own`` colour."""
+def _coloured(rgb: F64, own: F64, contrast: float, points: F64) -> F64:
+    """Return linear colours [M, 3]: the template's light and dark at a contrast, in the picture's ``own`` colour.
+
+    The contrast is that of locks at the size of splats, which average finer ones.
+    """
     mine, theirs = _lightness(to_linear(rgb)), _lightness(own)
-    contrast = float(np.clip(contrast, *_CONTRAST)) / max(float(mine.std()), 1e-3)
-    light = (np.median(theirs) + contrast * (mine - np.median(mine))).clip(0.3 * np.median(theirs), 1.0) ** 3
+    tree = cKDTree(points[:: max(1, len(points) // HAIR_SPLATS)])
+    cell = tree.query(points)[1]
+    cells = np.bincount(cell, mine, tree.n) / np.bincount(cell, minlength=tree.n).clip(1)
+    broad = cells[tree.query(tree.data, k=_NEAR_POINTS)[1]].mean(axis=1)
+    contrast = float(np.clip(contrast, *_CONTRAST))
+    light = contrast / max(float(mine.std()), 1e-3) * (broad[cell] - np.median(mine))
+    light += contrast / max(float((cells - broad).std()), 1e-3) * (mine - broad[cell])
+    light = (np.median(theirs) + light).clip(0.3 * np.median(theirs), 1.0) ** 3
     colour = np.median(own, axis=0)
     return light[:, None] * (colour / max(colour @ _LUMINANCE, 1e-4))
 
