@@ -291,4 +291,4 @@ def test_locks_have_the_contrast_of_the_pictures_locks_not_of_its_light() -> Non
         return float(grey.std() / grey.mean())
 
     assert spread(light) < 0.7 * spread(locks)
-    assert spread(locks) > 0.23  # splats average the template's finer locks
+    assert spread(locks) > 0.18  # splats average the template's finer locks
