@@ -57,12 +57,18 @@ class BackOfHead:
 
 
 def back_of_head(
-    body: Body, shot: FittedPicture, light: Lamp, nape_colour: F64 | None = None, blended: bool = True
+    body: Body,
+    shot: FittedPicture,
+    light: Lamp,
+    nape_colour: F64 | None = None,
+    blended: bool = True,
+    bald: NDArray[np.bool_] | None = None,
 ) -> BackOfHead:
     """Return hair as the front ``shot`` shows it beside the face, at the same heights all around.
 
     Long hair reaches down the back. Below the hair a head has ``nape_colour`` [3], linear and unlit; None: that of the
-    throat. ``blended=False`` gives the hair one colour, which is faster.
+    throat. ``blended=False`` gives the hair one colour, which is faster. Vertices that are ``bald`` [V] have skin: a
+    template is their hair.
     """
     rest = shot.mesh.vertices
     count = len(rest)
@@ -114,13 +120,15 @@ def back_of_head(
     below = np.median(unlit[throat], axis=0) if nape_colour is None else nape_colour
     colour = above[:, None] * around + (1 - above[:, None]) * below
     hair_on_back = np.zeros(count)
-    if hair_end < rest[neck, 1].min() + 2 * _ROW_M:
+    if bald is None and hair_end < rest[neck, 1].min() + 2 * _ROW_M:
         hair_on_back = _long_hair_on_back(body, shot, look, hair, skin, hair_end, nape)
     if below_hat.sum() > _MIN_VERTICES:  # falling hair has no colour of the hat above it
         share = _ramp(nape_height - rest[:, 1]) * (head | neck) * above
         colour += share[:, None] * (fallen_colour - colour)
     colour = np.where((hair_on_back > 0)[:, None], fallen_colour, colour)
     covered, hair_share = np.maximum(covered, hair_on_back), np.maximum(above * (head | neck), hair_on_back)
+    if bald is not None:
+        colour, hair_share = np.where(bald[:, None], below, colour), hair_share * ~bald
     for ears in ears_of(body):
         shown = np.flatnonzero(ears & visible)
         bare = shown[nearer_skin[shown]]

@@ -76,7 +76,7 @@ class Painter:
     hands: Hands
     tailoring: Tailoring
     shoes: ShoePainter | None  # of vertices after the body's
-    bald: bool  # hair on the neck is not painted
+    bald: NDArray[np.bool_] | None  # [V] where hair is not painted
 
     def paint(self, points: SurfacePoints) -> Paint:
         """Return the colours of the points; only points not seen squarely are guessed."""
@@ -138,7 +138,7 @@ class Painter:
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
-        if self.bald:
+        if self.bald is not None:
             collar = (self.cloth.region(points) == TRUNK) & vertices_of(body, "neck")[points.corners[:, 0]]
             covered = covered * ~collar
         # added, not layered: layering would show a third colour where neck and back meet
@@ -187,12 +187,13 @@ def painter_of(
     looks: Mapping[str, EyeLook] | None = None,
     shod: RiggedMesh | None = None,
     hand_texture: NDArray[np.uint8] | None = None,
-    bald: bool = False,
+    bald: NDArray[np.bool_] | None = None,
 ) -> Painter:
     """Return a painter of the body in ``shots``, the front first; ``looks`` are the eyes in it.
 
     Light and cloth are estimated at ``points``, which should lie evenly over its surface. ``shod`` is the body with
-    shoes, if it has any; ``hand_texture`` that of the open body's skin; ``bald`` leaves hair on the neck to a template.
+    shoes, if it has any; ``hand_texture`` that of the open body's skin. Vertices that are ``bald`` [V]
+    get skin, not hair.
     """
     front = shots[0]
     start_front = run_in_background(lambda: Front(front.mesh))
@@ -200,7 +201,7 @@ def painter_of(
     normals, up = points.directions(front.normals), front.view.root[:, 1]
     light = find_light(normals, sample.linear, sample.visibility, up, np.array([0.0, 0, -1]))
     cloth = cloth_of(body, front, points, sample, light.shade(normals))
-    head = run_in_background(lambda: back_of_head(body, front, light, cloth.nape))
+    head = run_in_background(lambda: back_of_head(body, front, light, cloth.nape, bald=bald))
     plain, view = _smooth_colours(body, shots, light, cloth), start_front()
     matches, span = match_to_front(front.mesh, trunk_vertices(body), view), cloth.patterned
     sleeves = None if span is None else cut_sleeves(front.mesh, view, span)

@@ -36,7 +36,7 @@ from glsplat.extras.authoring.paint.shoes import footwear_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.reconstruct.reconstructor import FittedBody, MadeAvatar, Mask, Options, Picture
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair, haired
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
@@ -84,7 +84,7 @@ class Builtin:
             covered = np.pad(covered, (0, len(whole.vertices) - len(covered)))
         scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
         own = scattered.points.take(scattered.points.corners[:, 0] < len(mesh.vertices))  # middles lose thin stripes
-        painter = painter_of(body, shots, own, looks, shod, hand_skin(), hair is not None)
+        painter = painter_of(body, shots, own, looks, shod, hand_skin(), None if hair is None else haired(hair))
         captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
-from glsplat.extras.authoring.paint.head import vertices_of
+from glsplat.extras.authoring.paint.head import ears_of, vertices_of
 from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.templates.hair_mask import SeenHair
@@ -28,17 +28,18 @@ Bools = NDArray[np.bool_]
 MIN_AGREEMENT = 0.45
 """Of a template; below it the hair was mistaken, or no template is like it."""
 
+MIN_ALPHA = 0.45
+"""Of a template's texture, where it has hair."""
+
 _BY_LENGTH = {
     "long": ("long01", "braid01", "bob02"),
     "bob": ("bob01", "bob02", "short03"),
     "short": ("short01", "short02", "short03", "short04", "afro01"),
 }
+_ONE_SIDED = ("short03", "bob01", "bob02")  # with a fringe or parting at one side: mirrored ones are tried, too
 _LONG_M, _LONG_WIDE_M = 0.045, 0.02  # below the chin; the second if it is as wide as the head there
-_BOB_M = -0.045  # below the chin
 _AFRO_RATIO = 1.35  # of the hair's radius about the eyes to the skull's
-# what outlines do not tell: which short template looks best, and that most long hair hangs loose
-_PREFERENCE = {"short02": 0.1, "short03": 0.05, "short04": -0.03, "braid01": -0.15, "bob02": -0.1}
-_WASTE_WEIGHT, _LONG_WASTE_WEIGHT = 0.4, 0.1  # long templates fall over the chest, where the picture may show cloth
+_BRAID_PREFERENCE = -0.15  # most long hair hangs loose, which the front does not show
 _TRIAL_POINTS, _GRAIN_M = 6000, 0.008  # that try a template, and the cells that they cover
 _ROW_M = 0.005
 _MIN_EXTENT_M = 0.03  # aside, for a width to be compared
@@ -46,6 +47,7 @@ _STRETCH = 0.75, 1.5  # of widths and heights
 _DEEPER = 0.95, 1.2  # of depths
 _BEHIND_SHOULDERS_M = 0.12  # that long hair goes on where the front loses it
 _MAX_LOCK_M = 0.03  # from that end
+_FRONT_PLAY_M = 0.006  # behind the bare body, of hair that it does not hide
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
 _HAIR_PLAY_M, _GAP_M = 0.006, 0.02
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
@@ -60,7 +62,7 @@ class FittedHair:
     """A template fitted to the hair of the front picture."""
 
     name: str
-    agreement: float  # share of the seen hair that it covers, less what is carved away; at most 1
+    agreement: float  # above the chin, overlap of the template and the seen hair over their union
     long: bool
     head: HeadView
     seen: SeenHair
@@ -78,19 +80,24 @@ def fit_hair(head: HeadView, seen: SeenHair, names: tuple[str, ...]) -> FittedHa
     own = [name for name in _BY_LENGTH[length] if name in names]
     if "afro01" in own and _volume(head, seen) < _AFRO_RATIO:
         own.remove("afro01")
-    fitted = [_fitted(head, seen, name, length == "long") for name in own]
-    return max(fitted, key=lambda hair: hair.agreement + _PREFERENCE.get(hair.name, 0.0), default=None)
+    fitted = [
+        _fitted(head, seen, name, mirrored, length == "long")
+        for name in own
+        for mirrored in ((False, True) if name in _ONE_SIDED else (False,))
+    ]
+    return max(fitted, key=lambda hair: hair.agreement + (hair.name == "braid01") * _BRAID_PREFERENCE, default=None)
 
 
 def _length(head: HeadView, seen: SeenHair) -> str:
-    """Return short, bob or long, by the lowest hair against the chin."""
+    """Return short, bob or long, by the lowest hair against ears and chin."""
     sizes, aside, up = head.sizes, np.abs(seen.plane[:, 0]), seen.plane[:, 1]
     low = np.quantile(up, 0.02)
     below, end = sizes.chin - low, aside[up < low + 0.015].max()
     if below > _LONG_M or (below > _LONG_WIDE_M and end > 0.95 * sizes.half_width):
         return "long"
     beside = (aside > 0.8 * sizes.half_width) & (up < sizes.eyes - 0.03)
-    return "bob" if below > _BOB_M and beside.mean() > 0.06 else "short"
+    ears = head.plane_of(head.bare[np.any(ears_of(head.body), axis=0)])[:, 1].min()
+    return "bob" if low < ears and beside.mean() > 0.06 else "short"
 
 
 def _volume(head: HeadView, seen: SeenHair) -> float:
@@ -105,10 +112,11 @@ def _volume(head: HeadView, seen: SeenHair) -> float:
     return float(radii[0] / radii[1])
 
 
-def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair:
+def _fitted(head: HeadView, seen: SeenHair, name: str, mirrored: bool, long: bool) -> FittedHair:
     """Return the template ``name`` with the outline of the seen hair, and how well it agrees."""
     body, own = head.body, template(name)
-    where = _outside(head, _carried(own.vertices, body.vertices[head.skull], head.bare[head.skull]))
+    start = own.vertices * (-1.0, 1.0, 1.0) if mirrored else own.vertices
+    where = _outside(head, _carried(start, body.vertices[head.skull], head.bare[head.skull]))
     where = _outside(head, _with_outline(head, seen, where, long))
     joints, weights = _binding(head, where)
     (part,) = own.parts
@@ -116,26 +124,31 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, long: bool) -> FittedHair
     rows = np.flatnonzero(reached[part.faces].any(axis=1))
     part = replace(part, faces=part.faces[rows], uv=part.uv[rows])
     mesh = RiggedMesh(where, head.shot.mesh.skeleton, joints, weights, (part,))
-    points = scattered(mesh, _TRIAL_POINTS, np.random.default_rng(0))[0].at(where)
-    stays, shown = carved(head, seen, points)
-    # pixels of the seen hair that the template covers
+    return FittedHair(name, round(_agreement(head, seen, mesh), 3), long, head, seen, mesh)
+
+
+def _agreement(head: HeadView, seen: SeenHair, mesh: RiggedMesh) -> float:
+    """Return the overlap of the template and the seen hair over their union, above the chin and below a hat.
+
+    What a picture shows as skin counts against a template: its hairline and fringe tell one from another.
+    """
+    spots, _, rgba = scattered(mesh, _TRIAL_POINTS, np.random.default_rng(0))
+    there = head.camera(spots.at(mesh.vertices)[rgba[:, 3] > MIN_ALPHA])
+    pixels = head.shot.project(there)
+    front = there[:, 2] < head.body_z(pixels) + _FRONT_PLAY_M
     grain = max(1, round(head.scale * _GRAIN_M))
     size = tuple(side // grain + 1 for side in seen.mask.shape)
-    covered = np.zeros(size, np.uint8)
-    at = (head.shot.project(head.camera(points[stays & shown])) / grain).astype(np.intp)
-    covered[at[:, 1].clip(0, size[0] - 1), at[:, 0].clip(0, size[1] - 1)] = 1
-    covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    mine, theirs = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
+    columns, rows = (pixels[front] / grain).astype(np.intp).T
+    mine[rows.clip(0, size[0] - 1), columns.clip(0, size[1] - 1)] = 1
+    mine = cv2.morphologyEx(mine, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero(seen.mask)
-    if seen.hat is not None:
-        below = head.plane(np.stack([columns, rows], axis=1).astype(np.float64) + 0.5)[:, 1] < seen.hat
-        rows, columns = rows[below], columns[below]
-    share = float(covered[rows // grain, columns // grain].mean()) if len(rows) else 0.0
-    before = shown & (head.camera(points)[:, 2] < head.camera_z)
-    if seen.hat is not None:
-        before &= head.plane_of(points)[:, 1] < seen.hat
-    wasted = 1 - float((stays & before).sum()) / max(int(before.sum()), 1)
-    agreement = share - (_LONG_WASTE_WEIGHT if long else _WASTE_WEIGHT) * wasted
-    return FittedHair(name, round(agreement, 3), long, head, seen, mesh)
+    theirs[rows // grain, columns // grain] = 1
+    either = (mine | theirs) > 0
+    at = (np.stack(np.nonzero(either)[::-1], axis=1).astype(np.float64) + 0.5) * grain
+    up = head.plane(at)[:, 1]
+    counted = (up > head.sizes.chin) & (up < (np.inf if seen.hat is None else seen.hat))
+    return float((mine & theirs)[either][counted].mean()) if counted.any() else 0.0
 
 
 def scattered(mesh: RiggedMesh, count: int, rng: np.random.Generator) -> tuple[SurfacePoints, NDArray[np.intp], F64]:
@@ -150,8 +163,8 @@ def scattered(mesh: RiggedMesh, count: int, rng: np.random.Generator) -> tuple[S
     return SurfacePoints(part.faces[face].astype(np.intp), share), face, rgba
 
 
-def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
-    """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict, and which it may show.
+def carved(head: HeadView, seen: SeenHair, points: F64) -> Bools:
+    """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict.
 
     Points before skin or clothes that the picture shows go, so do those outside its outline and above a hat's rim.
     Long hair ends where the seen hair does, or a hand's breadth lower, where it goes behind the shoulders.
@@ -164,7 +177,7 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     behind = head.body_z(pixels)
     beside = cv2.morphologyEx(seen.mask.astype(np.uint8), cv2.MORPH_CLOSE, _square(head, _GAP_M)) > 0
     hair |= value_at(beside, pixels) & np.isinf(behind)  # gaps in it, but none before the face
-    front = there[:, 2] < behind + 0.006
+    front = there[:, 2] < behind + _FRONT_PLAY_M
     facing = (there[:, 2] < head.camera_z + 0.02) & (flat[:, 1] > head.sizes.chin - 0.02)
     locks = (
         0.012 * np.sin(points[:, 0] * 210) + 0.009 * np.sin(points[:, 0] * 530 + 1) + 0.01 * np.sin(points[:, 2] * 300)
@@ -172,7 +185,7 @@ def carved(head: HeadView, seen: SeenHair, points: F64) -> tuple[Bools, Bools]:
     stays = inside & (hair | ~(front | facing)) & (flat[:, 1] > _hair_end(seen) + locks)
     if seen.hat is not None:
         stays &= flat[:, 1] < seen.hat
-    return stays, front | hair
+    return stays
 
 
 def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHair, tuple[FittedPicture, ...]]:
@@ -200,6 +213,14 @@ def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHai
         for shot, view in zip(shots, views, strict=True)
     )
     return replace(hair, head=replace(head, shot=out[0])), out
+
+
+def haired(hair: FittedHair) -> Bools:
+    """Return a mask [V] of head and neck below a hat, whose hair is the template."""
+    out = hair.head.body.skin & vertices_of(hair.head.body, "head", "jaw", "neck")
+    if hair.seen.hat is not None:
+        out &= hair.head.plane_of(hair.head.bare)[:, 1] < hair.seen.hat
+    return out
 
 
 def _hair_end(seen: SeenHair) -> float:

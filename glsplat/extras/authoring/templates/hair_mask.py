@@ -29,6 +29,7 @@ _MAX_LIKE, _SURE_LIKE = 40.0, 10.0  # distance of hair from its median colour
 _MIN_CLOTH_FRACTION = 0.25  # of the chest, for a colour that is no print
 _OUTSIDE_BONUS = 8.0  # in CIELAB; what stands out beside the bare head is probably hair
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
+_NEVER_HAIR = (HeadPart.BACKGROUND, HeadPart.LEFT_EAR, HeadPart.RIGHT_EAR, HeadPart.CLOTH, HeadPart.HAT)
 _MIN_PIXELS = 60  # of a lock
 # of the pixels above the eyes: those labelled room or cloth, at most; a hat's and hair's, at least
 _MAX_UNKNOWN, _MIN_HAT_FRACTION, _MIN_HAIR_FRACTION = 0.25, 0.2, 0.08
@@ -70,8 +71,12 @@ def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHai
         plane = where[found]
         return SeenHair(out, plane[:: max(1, len(plane) // 20_000)], hat)
 
-    main = _cloths(head, look, box)
-    if parts is not None and (labelled := _labelled_hair(head, look, parts[box], main, near, aside, up)) is not None:
+    main, scalp = _cloths(head, look, box), ~_face(head, box)
+    beard = (aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02)  # or face, throat and collar
+    if (
+        parts is not None
+        and (labelled := _labelled_hair(head, look, parts[box], main, near, scalp, beard, aside, up)) is not None
+    ):
         return seen(*labelled)
     face = _vertex_pixels(head, face_vertices(head.body), box)
     skin = np.median(look[face], axis=0)
@@ -96,7 +101,7 @@ def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHai
     cloths = [cloth for cloth, _ in main if _apart(cloth, hair) > _SAME_AS_CLOTH]
     like_hair = sum(share for cloth, share in main if _apart(cloth, hair) <= _SAME_AS_CLOTH)
     below = up < sizes.chin + 0.01
-    never = ~near | ((aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02))  # face, throat and collar
+    never = ~near | beard
     core = np.zeros(mask.shape, np.uint8)
     core[face] = 1
     core = cv2.morphologyEx(core, cv2.MORPH_CLOSE, np.ones((max(3, int(0.012 * head.scale)),) * 2, np.uint8))
@@ -112,10 +117,10 @@ def seen_hair(head: HeadView, parts: NDArray[np.uint8] | None = None) -> SeenHai
     found = _grown(rgb, near, sure, never, like < np.minimum(away(skin), _MAX_LIKE), rgb[face])
     if found is None:
         return None
-    lock = near & (like < 0.85 * other) & (like < 26) & ~never & (aside < 0.8 * tall)
-    found |= _opened(lock)
+    lock = near & (like < 0.85 * other) & (like < 26) & (aside < 0.8 * tall)
+    found |= _opened(lock & ~never)
     found = _opened(found & near & (like < np.minimum(other, _MAX_LIKE)))
-    found = _from_head(found, up, sizes.eyes)
+    found = _with_fringe(_from_head(found, up, sizes.eyes, scalp), lock & beard)
     if not found.any():
         return None
     hat = None
@@ -131,6 +136,8 @@ def _labelled_hair(
     parts: NDArray[np.uint8],
     main: list[tuple[F64, float]],
     near: Bools,
+    scalp: Bools,
+    beard: Bools,
     aside: NDArray[np.floating],
     up: NDArray[np.floating],
 ) -> tuple[Bools, float | None] | None:
@@ -145,11 +152,11 @@ def _labelled_hair(
     if unknown.sum() > _MAX_UNKNOWN * len(unknown):
         return None
     hat = above & (parts == HeadPart.HAT)
-    beard = (aside < 0.65 * sizes.half_width) & (up < sizes.eyes + 0.02)
-    found = near & ((parts == HeadPart.HAIR) | ((parts == HeadPart.HAT) & ~hat)) & ~beard
-    if not found.any():
+    found = near & ((parts == HeadPart.HAIR) | ((parts == HeadPart.HAT) & ~hat))
+    sure = found & ~beard
+    if not sure.any():
         return None
-    hair = np.median(look[found], axis=0)
+    hair = np.median(look[sure], axis=0)
     if hat.any() and _apart(np.median(look[hat], axis=0), hair) < _MIN_HAT:  # the same in other light
         found, hat = found | hat, np.zeros_like(hat)
 
@@ -159,10 +166,16 @@ def _labelled_hair(
     like = away(_shaded(hair, _SHADES))
     beside = (aside > sizes.half_width) & (up > sizes.chin)
     found |= near & (parts == HeadPart.CLOTH) & (like < _SURE_LIKE) & beside
+    face = (parts == HeadPart.SKIN) & beard & (up > sizes.chin)
+    skin = np.median(look[face], axis=0) if face.any() else hair
+    if _apart(skin, hair) > _MIN_UNLIKE_SKIN:  # sleek hair is labelled as a forehead or as glasses
+        other = away(_shaded(skin, (*_SHADES, 1.3)))
+        found |= near & (up > sizes.eyes - 0.03) & ~np.isin(parts, _NEVER_HAIR) & (like < np.minimum(0.85 * other, 26))
     for cloth, _ in main:
         if _apart(cloth, hair) > _SAME_AS_CLOTH:
             found &= (up > sizes.chin) | (like < away(cloth[None]))
-    found = _from_head(_opened(found), up, sizes.eyes)
+    found = _opened(found)
+    found = _with_fringe(_from_head(found & ~beard, up, sizes.eyes, scalp), found & beard)
     if found.sum() < _MIN_HAIR_FRACTION * above.sum():
         return None
     worn = hat.sum() > _MIN_HAT_FRACTION * above.sum()
@@ -170,11 +183,27 @@ def _labelled_hair(
     return found, float(np.quantile(up[sides if sides.any() else hat], 0.1)) if worn else None
 
 
-def _from_head(mask: Bools, up: NDArray[np.floating], eyes: float) -> Bools:
-    """Return the connected parts of a mask that reach up to the eyes."""
+def _from_head(mask: Bools, up: NDArray[np.floating], eyes: float, scalp: Bools) -> Bools:
+    """Return the connected parts of a mask that reach up to the eyes, and the ``scalp`` [h, w]; eyebrows do not."""
     count, label = cv2.connectedComponents(mask.astype(np.uint8))
-    kept = [k for k in range(1, count) if (m := label == k).sum() > _MIN_PIXELS and up[m].max() > eyes - 0.03]
+    highest = scalp & (up > eyes - 0.03)
+    kept = [k for k in range(1, count) if (m := label == k).sum() > _MIN_PIXELS and highest[m].any()]
     return np.isin(label, kept)
+
+
+def _face(head: HeadView, box: tuple[slice, slice]) -> Bools:
+    """Return the pixels in ``box`` within the outline of the bare face."""
+    face = head.shot.project(head.camera(head.bare[face_vertices(head.body)])) - (box[1].start, box[0].start)
+    out = np.zeros((box[0].stop - box[0].start, box[1].stop - box[1].start), np.uint8)
+    return cv2.fillConvexPoly(out, cv2.convexHull(face.astype(np.int32)), 1) > 0
+
+
+def _with_fringe(hair: Bools, face: Bools) -> Bools:
+    """Return ``hair`` [h, w] and what of the hair before a ``face`` hangs from it without a gap; a beard does not."""
+    out = hair.copy()
+    for row in range(1, len(out)):
+        out[row] |= out[row - 1] & face[row]
+    return out
 
 
 def _box(head: HeadView) -> tuple[slice, slice]:

@@ -19,7 +19,7 @@ from glsplat.extras.authoring.paint.ramps import smoothstep
 from glsplat.extras.authoring.sample.cells import Cloud, avatar_of, skin_of, tessellate
 from glsplat.extras.authoring.sample.merge import merge_avatars
 from glsplat.extras.authoring.sample.scatter import PHOTO_SAMPLER
-from glsplat.extras.authoring.templates.hair import FittedHair, carved, scattered
+from glsplat.extras.authoring.templates.hair import MIN_ALPHA, FittedHair, carved, scattered
 from glsplat.extras.authoring.templates.head_view import HeadView, value_at
 from glsplat.meshes import vertex_normals
 from glsplat.pictures import to_linear, to_srgb
@@ -36,15 +36,16 @@ HAIR_SPLATS = 8_000
 # a smaller sigma shows cracks, a larger one blurs the locks, which cells follow by their light and dark
 _SAMPLER = replace(PHOTO_SAMPLER, sigma=1.85, color_weight=4.0, candidates=12)
 _POINTS_PER_SPLAT = 32
-_MIN_ALPHA, _MIN_FACE_FRACTION = 0.45, 0.4
+_MIN_FACE_FRACTION = 0.4
 _FLOATING_M, _MAX_FLOATING_M = 0.02, 0.15  # before the face: drawn back along the picture's rays
 _DEPTH_POINT_PX = 5  # of the picture with the template's own depth
-_CONTRAST = 0.01, 0.08  # standard deviation of the locks' lightness
+_CONTRAST = 0.01, 0.05  # standard deviation of the locks' lightness
 _LOCK_M = 0.01  # standard deviation of a blur that leaves light and shade, without locks
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.9  # of hair's colour, in its own shadow
-_SCALP_REACH_M, _NAPE_REACH_M, _CLOTH_REACH_M = 0.035, 0.018, 0.03  # from the template: what it covers
+_SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
 _MAX_SCALP_SIGMA_M = 0.012  # wider splats would show around the hair
-_CURTAIN_REACH_M = 0.008  # aside, from hair that hangs behind a neck
+_NEAR_POINTS = 24  # of as many as there are splats of a template: those around one
+_MAX_LOPSIDED = 0.03  # radians, seen from the head's middle, from a point to the middle of these
 _MIN_VISIBILITY = 0.15
 _BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -56,10 +57,10 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     shot = head.shot
     spots, face, rgba = scattered(mesh, HAIR_SPLATS * _POINTS_PER_SPLAT, rng)
     points = spots.at(mesh.vertices)
-    stays = carved(head, seen, points)[0]
+    stays = carved(head, seen, points)
     share = np.bincount(face, stays) / np.maximum(np.bincount(face), 1)
     stays &= share[face] > _MIN_FACE_FRACTION  # what is left of a carved lock would be dots
-    keep = np.flatnonzero(stays & (rgba[:, 3] > _MIN_ALPHA))
+    keep = np.flatnonzero(stays & (rgba[:, 3] > MIN_ALPHA))
     area = float(triangle_areas(mesh.vertices, mesh.faces).sum()) * len(keep) / len(points)
     spots, face, rgba, points = spots.take(keep), face[keep], rgba[keep], _drawn_back(head, points[keep])
     # cards have two sides: the outer one counts
@@ -69,7 +70,7 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     outwards[:, 1] = outwards[:, 1].clip(0, None)
     normals *= np.where(component_sums(normals * outwards) < 0, -1.0, 1.0)[:, None]
     own = to_linear(shot.rgb[seen.mask] / 255)
-    guess = _coloured(rgba[:, :3], own, _contrast(head, seen.mask))
+    guess = _coloured(rgba[:, :3], own, _contrast(head, seen.mask), points)
     there = head.camera(points)
     trust = _trust(head, seen.mask, there, unit_vectors(outwards) @ head.rotation.T)
     shade = light.shade(normals @ head.rotation.T)
@@ -92,7 +93,7 @@ def covered_by_hair(hair: FittedHair) -> Bools:
     """Return a mask [V] of the body's vertices under the template that the picture does not show as a face."""
     head = hair.head
     points = scattered(hair.mesh, HAIR_SPLATS, np.random.default_rng(0))[0].at(hair.mesh.vertices)
-    points = points[carved(head, hair.seen, points)[0]]
+    points = points[carved(head, hair.seen, points)]
     under = np.zeros(len(head.bare), bool)
     under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
     under &= ~np.any(ears_of(head.body), axis=0)  # few splats would blur them
@@ -120,11 +121,20 @@ def _contrast(head: HeadView, mask: Bools) -> float:
     return float(locks[inner].std()) if inner.any() else 0.0
 
 
-def _coloured(rgb: F64, own: F64, contrast: float) -> F64:
-    """Return linear colours [M, 3]: the template's light and dark at a contrast, in the picture's ``own`` colour."""
+def _coloured(rgb: F64, own: F64, contrast: float, points: F64) -> F64:
+    """Return linear colours [M, 3]: the template's light and dark at a contrast, in the picture's ``own`` colour.
+
+    The contrast is that of locks at the size of splats, which average finer ones.
+    """
     mine, theirs = _lightness(to_linear(rgb)), _lightness(own)
-    contrast = float(np.clip(contrast, *_CONTRAST)) / max(float(mine.std()), 1e-3)
-    light = (np.median(theirs) + contrast * (mine - np.median(mine))).clip(0.3 * np.median(theirs), 1.0) ** 3
+    tree = cKDTree(points[:: max(1, len(points) // HAIR_SPLATS)])
+    cell = tree.query(points)[1]
+    cells = np.bincount(cell, mine, tree.n) / np.bincount(cell, minlength=tree.n).clip(1)
+    broad = cells[tree.query(tree.data, k=_NEAR_POINTS)[1]].mean(axis=1)
+    contrast = float(np.clip(contrast, *_CONTRAST))
+    light = contrast / max(float(mine.std()), 1e-3) * (broad[cell] - np.median(mine))
+    light += contrast / max(float((cells - broad).std()), 1e-3) * (mine - broad[cell])
+    light = (np.median(theirs) + light).clip(0.3 * np.median(theirs), 1.0) ** 3
     colour = np.median(own, axis=0)
     return light[:, None] * (colour / max(colour @ _LUMINANCE, 1e-4))
 
@@ -151,6 +161,17 @@ def _trust(head: HeadView, mask: Bools, there: F64, outwards: F64) -> F64:
     return smoothstep(facing, -0.05, 0.25) * shown * value_at(inner, pixels)
 
 
+def _under(points: F64, means: F64, middle: F64) -> Bools:
+    """Return [N] which ``means`` [N, 3] have hair outwards from the ``middle`` of the head, and all around that.
+
+    At an edge, wide splats would show beside the hair.
+    """
+    some = unit_vectors(points[:: max(1, len(points) // HAIR_SPLATS)] - middle)
+    outwards = unit_vectors(means - middle)
+    around = some[cKDTree(some).query(outwards, k=_NEAR_POINTS)[1]].mean(axis=1)
+    return lengths(around - outwards) < _MAX_LOPSIDED
+
+
 def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> Avatar:
     """Return the avatar whose hair painted on the head is a scalp below the template's ``points``.
 
@@ -170,11 +191,7 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     ears = np.any(ears_of(body), axis=0)
     if 2 * on_hair[ears & visible].sum() < (ears & visible).sum():
         hairy &= ~ears[vertex]  # both are skin, as painted
-    neck = shot.mesh.skeleton.joints[JOINT_NAMES.index("neck"), 2]
-    behind = rest[vertex, 2] < neck
-    curtain = cKDTree(points[points[:, 2] < neck, :2])
-    hidden = behind & (curtain.query(means[mine, :2])[0] < _CURTAIN_REACH_M)
-    hairy &= hidden | (tree.query(means[mine])[0] < np.where(behind, _NAPE_REACH_M, _SCALP_REACH_M))
+    hairy &= _under(points, means[mine], head.middle) | (means[mine, 1] > rest[ears, 1].max())
     if hair.seen.hat is not None:
         hairy &= head.plane_of(head.bare[vertex])[:, 1] < hair.seen.hat
     mine, vertex, own = mine[hairy], vertex[hairy], (shown & pictured)[hairy]

@@ -7,11 +7,13 @@ from functools import cache
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
+from glsplat.extras.authoring.paint.head import back_of_head, ears_of, vertices_of
 from glsplat.extras.authoring.sample.scatter import scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair, haired
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
 from glsplat.extras.authoring.templates.head_view import HeadView, head_view, value_at
@@ -103,6 +105,32 @@ def test_a_networks_labels_decide_where_they_make_sense() -> None:
     assert (again := seen_hair(head, labels)) is not None and (by_colour.mask == again.mask).all()
 
 
+def test_a_fringe_is_hair_but_a_beard_and_eyebrows_are_not() -> None:
+    head, _ = pictured("bob01")
+    where = head.plane(np.stack(np.mgrid[: head.shot.mask.shape[0], : head.shot.mask.shape[1]][::-1], axis=-1) + 0.5)
+    aside, up = where[..., 0], where[..., 1] - head.sizes.eyes
+    hair = head.shot.mask & (up > 0.06)
+    fringe = (aside > 0) & (aside < 0.05) & (up > -0.04) & (up < 0.07)
+    below = (np.abs(aside) < 0.07) & (np.abs(up + 0.09) < 0.02)
+    brow = (aside < -0.01) & (aside > -0.04) & (np.abs(up - 0.03) < 0.005)
+    labels = np.where(head.shot.mask, HeadPart.SKIN, HeadPart.BACKGROUND).astype(np.uint8)
+    labels[hair | fringe | below | brow] = HeadPart.HAIR
+    seen = seen_hair(head, labels)
+    assert seen is not None and seen.mask[fringe].mean() > 0.95
+    assert not (seen.mask & brow).any() and not (seen.mask & below & (np.abs(aside) < 0.03)).any()
+
+
+def test_hair_that_a_network_takes_for_a_forehead_or_glasses_is_found_by_its_colour() -> None:
+    head, drawn = pictured("short03")
+    up = head.plane(np.stack(np.mgrid[: drawn.shape[0], : drawn.shape[1]][::-1], axis=-1) + 0.5)[..., 1]
+    labels = np.where(head.shot.mask, HeadPart.SKIN, HeadPart.BACKGROUND).astype(np.uint8)
+    labels[drawn & (up > head.sizes.eyes + 0.07)] = HeadPart.HAIR
+    labels[drawn & (np.abs(up - head.sizes.eyes - 0.05) < 0.02)] = 6  # glasses
+    seen = seen_hair(head, labels)
+    assert seen is not None and (seen.mask & ~drawn).sum() < 0.05 * drawn.sum()
+    assert seen.mask[drawn & (up > head.sizes.eyes)].mean() > 0.9
+
+
 def face_pixels(head: HeadView) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of the clearly visible face."""
     column, row = head.shot.view.pixels[face_vertices(head.body) & (head.shot.visibility > 0.5)].astype(int).T
@@ -117,6 +145,54 @@ def test_template_is_chosen_by_length_and_agrees() -> None:
     beside = replace(seen, mask=np.roll(seen.mask, 80, axis=1))  # hair that is not on the head agrees with nothing
     wrong = fit_hair(head, beside, tuple(HAIR))
     assert wrong is not None and wrong.agreement < short.agreement - 0.3
+
+
+def test_hairline_and_fringe_choose_the_template_and_its_side() -> None:
+    for name in ("short01", "short03", "bob01"):
+        head, drawn = pictured(name)
+        middle = float(head.shot.project(head.camera(head.middle[None]))[0, 0])
+        turn = np.array([[-1, 0, 2 * middle], [0, 1, 0]])
+        turned = cv2.warpAffine(drawn.astype(np.uint8), turn, drawn.shape[::-1]) > 0
+        for mask in (drawn, turned):
+            rows, columns = np.nonzero(mask)
+            seen = SeenHair(mask, head.plane(np.stack([columns, rows], axis=1) + 0.5), None)
+            view = replace(head, shot=replace(head.shot, mask=head.shot.mask | mask))
+            hair = fit_hair(view, seen, tuple(HAIR))
+            assert hair is not None and hair.name == name
+
+
+def test_a_bob_is_hair_that_covers_the_ears() -> None:
+    head, drawn = pictured("bob01")
+    rows, columns = np.nonzero(drawn)
+    plane = head.plane(np.stack([columns, rows], axis=1) + 0.5)
+    ears = head.plane_of(head.bare[np.any(ears_of(head.body), axis=0)])[:, 1].min()
+    for end, length in ((ears - 0.008, "bob"), (ears + 0.02, "short")):
+        some = plane[:, 1] > end
+        mask = np.zeros_like(drawn)
+        mask[rows[some], columns[some]] = True
+        hair = fit_hair(head, SeenHair(mask, plane[some], None), ("bob01", "short01"))
+        assert hair is not None and hair.name.startswith(length)
+
+
+def test_ears_and_a_neck_below_the_hair_stay_skin_and_the_skull_under_it_does_not() -> None:
+    scene, hair = photographed("front"), fitted("short02")[1]
+    body, rng = hair.head.body, np.random.default_rng(0)
+    even = scatter(scene.mesh, 24_000, rng)
+    bare = even.avatar(scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), rng)
+    splats = with_template_hair(bare, hair, scene.light, rng).splats
+    skin = splats.sh[: len(bare.splats), 0, 0] * SH_C0 + 0.5 > 0.55
+    near = cKDTree(scene.mesh.vertices).query(bare.splats.means)[1]
+    end = splats.means[len(bare.splats) :, 1].min()
+    assert skin[np.any(ears_of(body), axis=0)[near]].all()
+    assert skin[vertices_of(body, "neck")[near] & (bare.splats.means[:, 1] < end)].all()
+    middle = hair.head.middle
+    behind = (bare.splats.means[:, 1] > middle[1]) & (bare.splats.means[:, 2] < middle[2] - 0.06)
+    assert skin[behind].mean() < 0.1
+    mask = haired(hair)
+    assert mask[hair.head.skull].all() and not mask[scene.mesh.vertices[:, 1] < 1.0].any()
+    light = scene.light
+    painted = back_of_head(body, scene.shots[0], light, np.array([0.5, 0.3, 0.2]), bald=mask)
+    assert np.allclose(painted.colour[mask & ~np.any(ears_of(body), axis=0)], (0.5, 0.3, 0.2))
 
 
 def test_the_head_is_bare_under_hair_that_its_outline_followed() -> None:
@@ -215,3 +291,4 @@ def test_locks_have_the_contrast_of_the_pictures_locks_not_of_its_light() -> Non
         return float(grey.std() / grey.mean())
 
     assert spread(light) < 0.7 * spread(locks)
+    assert spread(locks) > 0.18  # splats average the template's finer locks
