@@ -65,8 +65,8 @@ class Builtin:
 
     def report(self, pictures: Mapping[str, Picture], masks: Mapping[str, Mask], options: Options) -> MadeAvatar:
         """Return the avatar with the fit and the mesh it was made from."""
+        loaded = None if options.keep_light else run_in_background(load_compiled)  # fitting leaves a core idle
         body, fit, bald, looks, parts = _fitted(pictures, masks, options)
-        loaded = None if options.keep_light else run_in_background(load_compiled)  # while a core is idle
         hair, worn = None, f"painted, a template needs {_MIN_SPLATS_WITH_HAIR} splats"
         if options.splats >= _MIN_SPLATS_WITH_HAIR:
             hair, worn = _template_hair(body, fit, bald[0], parts)
