@@ -125,7 +125,7 @@ def network_inputs(now: TrackedFrames, before: TrackedFrames, means: F32, unit: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseNetwork:
-    """Weights, float32, for inputs of ``frames.network_inputs``; the first layer includes the normalisation.
+    """Weights, float32, for inputs of ``network_inputs``; the first layer includes the normalisation.
 
     GRU as in Cho et al. 2014 with the reset gate after the product (PyTorch's and cuDNN's form).
     """

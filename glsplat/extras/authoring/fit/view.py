@@ -45,6 +45,8 @@ class View:
         self.figure = float(rows[-1] - rows[0] + 1) if len(rows) else 0.0
         if self.figure < _MIN_FIGURE_PX:
             raise FormatError(f"a mask needs a person at least {_MIN_FIGURE_PX} pixels high, found {self.figure:.0f}")
+        if not 0 < focal < np.inf:
+            raise FormatError(f"a focal length needs pixels above zero, not {focal}")
         self.mask, self.landmarks, self.visibility = mask, landmarks, visibility.clip(0.0, 1.0)
         self.focal, self.world, self.face = focal, world, face
         self.centre: F64 = np.array(mask.shape[::-1]) / 2 if centre is None else centre

@@ -52,7 +52,7 @@ def fitted_to_photos(
 
     progress("painting the body", 0.0)
     truth = bake(mesh, colours, _PAINTED_PX)
-    pictures = pictures_of(truth, seed, ViewConfig(size=_BODY_PX), progress=progress)
+    pictures = pictures_of(truth, seed, ViewConfig(size=_BODY_PX, supersample=2), progress=progress)
     photographs = [_picture(avatar, shot) for shot in shots]
     pictures += photographs * max(1, _PHOTO_REPEATS // len(photographs))
     return fitted(avatar, pictures, seed, FitConfig(steps=steps), progress)

@@ -30,7 +30,6 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 Report = Callable[[str, float], None]
 
-_SUPERSAMPLE = 2  # points across a pixel of a mesh
 _RIM_PX = 8  # around the subject, where splats must not be
 _HEAD_ANGLES_DEG = (  # around and up
     *((-90, 0), (-50, 10), (-20, -8), (0, 5), (20, 15), (50, -5), (90, 5)),
@@ -70,6 +69,7 @@ class ViewConfig:
     each: int = 2  # pictures of each random pose
     size: int = 768  # pixels a side of a whole body
     close: int = 384  # pixels a side of a head, a hand or a foot, and of a face with an expression
+    supersample: int = 3  # points across a pixel, of pictures of a mesh
     elevations: tuple[float, ...] = (-12, 8, 30)  # degrees of cameras around the zero pose, in turn
     elevation_spread: float = 15.0  # degrees, standard deviation for other poses
 
@@ -110,8 +110,9 @@ def pictures_of(
     subject = _Subject(
         mesh.skeleton.names, mesh.vertices[used], strongest[used], lambda pose: mesh.posed(pose)[used], regions
     )
-    views = list(_views(subject, np.random.default_rng((seed, 17)), config or ViewConfig()))
-    return _cropped_pictures(views, _mesh_pictures(mesh, views, context), progress)
+    config = config or ViewConfig()
+    views = list(_views(subject, np.random.default_rng((seed, 17)), config))
+    return _cropped_pictures(views, _mesh_pictures(mesh, views, config.supersample, context), progress)
 
 
 def pictures_of_splats(
@@ -186,7 +187,9 @@ def _cropped_pictures(views: list[TargetView], drawn: Iterator[U8], progress: Re
     return out
 
 
-def _mesh_pictures(mesh: RiggedMesh, views: list[TargetView], context: Context | None) -> Iterator[U8]:
+def _mesh_pictures(
+    mesh: RiggedMesh, views: list[TargetView], supersample: int, context: Context | None
+) -> Iterator[U8]:
     own = None
     if context is None:
         try:
@@ -194,7 +197,7 @@ def _mesh_pictures(mesh: RiggedMesh, views: list[TargetView], context: Context |
         except ContextError:
             for view in views:
                 pose = view.pose or Pose.zero(len(mesh.skeleton))
-                yield _eight_bit(mesh_picture(mesh, mesh.posed(pose), view.camera, _SUPERSAMPLE))
+                yield _eight_bit(mesh_picture(mesh, mesh.posed(pose), view.camera, supersample))
             return
     renderers: dict[tuple[int, int], MeshTruth] = {}
     try:
@@ -203,7 +206,7 @@ def _mesh_pictures(mesh: RiggedMesh, views: list[TargetView], context: Context |
             if (size, face) not in renderers:
                 shown = mesh if view.pose is None or not face else _expressed(mesh, view.pose)
                 renderers[size, face] = MeshTruth(  # points of the texture, as raster.py takes them
-                    shown, size=(size, size), samples=1, supersample=_SUPERSAMPLE, anisotropy=1, context=context
+                    shown, size=(size, size), samples=1, supersample=supersample, anisotropy=1, context=context
                 )
             yield renderers[size, face].render([view.camera], view.pose)[0]
     finally:

@@ -101,15 +101,14 @@ def _length(head: HeadView, seen: SeenHair) -> str:
 
 
 def _volume(head: HeadView, seen: SeenHair) -> float:
-    """Return the radius of the hair above the eyes over the bare skull's; 1 below a hat."""
+    """Return the radius of the hair above the eyes over the bare skull's; 1 below a hat, and without hair there."""
     if seen.hat is not None:
         return 1.0
-    skull = head.plane_of(head.bare[head.skull])
-    radii = [
-        np.quantile(np.hypot(*(flat[flat[:, 1] > head.sizes.eyes + 0.03] - (0, head.sizes.eyes)).T), 0.98)
-        for flat in (seen.plane, skull)
-    ]
-    return float(radii[0] / radii[1])
+    both = [flat[flat[:, 1] > head.sizes.eyes + 0.03] for flat in (seen.plane, head.plane_of(head.bare[head.skull]))]
+    if not len(both[0]):
+        return 1.0  # a wreath of hair
+    hair, skull = (np.quantile(np.hypot(*(flat - (0, head.sizes.eyes)).T), 0.98) for flat in both)
+    return float(hair / skull)
 
 
 def _fitted(head: HeadView, seen: SeenHair, name: str, mirrored: bool, long: bool) -> FittedHair:

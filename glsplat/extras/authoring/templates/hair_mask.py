@@ -176,7 +176,7 @@ def _labelled_hair(
             found &= (up > sizes.chin) | (like < away(cloth[None]))
     found = _opened(found)
     found = _with_fringe(_from_head(found & ~beard, up, sizes.eyes, scalp), found & beard)
-    if found.sum() < _MIN_HAIR_FRACTION * above.sum():
+    if not found.any() or found.sum() < _MIN_HAIR_FRACTION * above.sum():
         return None
     worn = hat.sum() > _MIN_HAT_FRACTION * above.sum()
     sides = hat & (aside > 0.7 * sizes.half_width)

@@ -1,6 +1,6 @@
 """Quantise splats' attributes into planes of bytes, and read them back.
 
-A plane holds one byte of every splat. Neighbouring splats are close in the file (morton.py), so that planes pack well;
+A plane holds one byte of every splat. Neighbours are close in the file (``morton_order``), so that planes pack well;
 positions and colours are differences from splat to splat, which pack better still.
 """
 

@@ -26,6 +26,9 @@ MARKS, SURE = np.zeros((LANDMARK_COUNT, 2)), np.ones(LANDMARK_COUNT)
 def test_a_view_says_what_it_misses() -> None:
     with pytest.raises(FormatError, match="at least 64 pixels high, found 0"):
         View(np.zeros((9, 9), bool), MARKS, SURE, 300.0)
+    for focal in (0.0, np.inf, np.nan):
+        with pytest.raises(FormatError, match="pixels above zero"):
+            View(MASK, MARKS, SURE, focal)
 
 
 def test_a_smaller_view_is_the_same_picture() -> None:

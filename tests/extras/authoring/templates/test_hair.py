@@ -174,6 +174,17 @@ def test_a_bob_is_hair_that_covers_the_ears() -> None:
         assert hair is not None and hair.name.startswith(length)
 
 
+def test_a_wreath_of_hair_below_a_bald_crown_gets_a_template() -> None:
+    head, drawn = pictured("short03")
+    rows, columns = np.nonzero(drawn)
+    plane = head.plane(np.stack([columns, rows], axis=1) + 0.5)
+    low = (np.abs(plane[:, 1] - head.sizes.eyes) < 0.025) & (np.abs(plane[:, 0]) > 0.8 * head.sizes.half_width)
+    mask = np.zeros_like(drawn)
+    mask[rows[low], columns[low]] = True
+    hair = fit_hair(head, SeenHair(mask, plane[low], None), tuple(HAIR))
+    assert low.any() and hair is not None and hair.name != "afro01"
+
+
 def test_ears_and_a_neck_below_the_hair_stay_skin_and_the_skull_under_it_does_not() -> None:
     scene, hair = photographed("front"), fitted("short02")[1]
     body, rng = hair.head.body, np.random.default_rng(0)
