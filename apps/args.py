@@ -335,7 +335,10 @@ not_negative = Number(0)
 
 def positive(text: str) -> float:
     """Parse a finite number above 0 (argparse type)."""
-    value = not_negative(text)
+    try:
+        value = not_negative(text)
+    except argparse.ArgumentTypeError:
+        value = 0.0
     if value == 0:
         raise argparse.ArgumentTypeError(f"needs a number above 0, not {text!r}")
     return value

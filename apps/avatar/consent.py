@@ -12,7 +12,7 @@ from typing import Any
 
 from glsplat.extras.consent.document import ANYBODY
 from glsplat.extras.consent.file import OnFile, sign_data, sign_file
-from glsplat.extras.consent.keys import new_key, private_key, public_path
+from glsplat.extras.consent.keys import kept_key, new_key, private_key, public_path
 from glsplat.io.files import replace_file
 
 from ..usage import UsageError
@@ -146,7 +146,6 @@ def sign_mine(path: Path) -> None:
 
     The record does not allow handing out splats. Raises GlsplatError, which names the file.
     """
-    from glsplat.extras.consent.keys import kept_key  # the server's key store, which other commands do not need
     from glsplat.net.guard.state_dir import state_folder
 
     key = kept_key(state_folder())

@@ -51,7 +51,7 @@ class StreamedPictures:
 
     def __init__(self, feed: Feed, context: moderngl.Context) -> None:
         self._feed, self._ctx = feed, context
-        self._requested: object = None  # the state of the last request
+        self._requested: tuple[object, ViewRequest] | None = None  # with its state, which may be a sample's id
         self._picture: Picture | None = None
         self._shown = 0
         self._age_ms = 0.0
@@ -71,8 +71,8 @@ class StreamedPictures:
     def request(self, cameras: Sequence[Camera], player: Player | None) -> bool:
         """Send the view if it changed; return whether a newer picture is queued."""
         request, state = _request_for(cameras, player)
-        if state != self._requested:
-            self._requested = state
+        if self._requested is None or state != self._requested[0]:
+            self._requested = state, request
             self._feed.request(request)
         return self._feed.ready
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from glsplat.arrays import colour
 from glsplat.errors import FormatError, GlsplatError
 from glsplat.formats.format import Format, Opened, opened
+from glsplat.formats.motion_files import embedded_motions, load_embedded_motion, load_motion
 from glsplat.formats.registry import recognised
 from glsplat.io.files import Source
 from glsplat.light.light import Light
@@ -205,9 +206,6 @@ class _Reading:
 
     def _motion(self, name: str, folder: Path, skeleton: Skeleton) -> Motion:
         """Load a file in the folder, or an embedded motion where there is none of that name."""
-        # here: a server of scenes that stand still needs none of it
-        from glsplat.formats.motion_files import embedded_motions, load_embedded_motion, load_motion
-
         embedded = name in embedded_motions() and not (folder / name).exists()
         whole = embedded or "#" not in name or (folder / name).exists()
         file, choice = (name, None) if whole else name.split("#", 1)

@@ -73,8 +73,10 @@ def checked(solution: Any) -> Solution:
         a, b = _counted(solution.feet, 2, "feet")
         if isinstance(solution.notes, str) or not all(isinstance(note, str) for note in solution.notes):
             raise PoseError("a solution's notes are a list of strings")
-        errors = tuple([_number(error, "expected_error") for error in solution.expected_error])
-        if errors and min(_counted(errors, JOINT_COUNT, "expected_error")) < 0:
+        given = solution.expected_error
+        counted = _counted(given, JOINT_COUNT, "expected_error") if len(given) else ()
+        errors = tuple([_number(error, "expected_error") for error in counted])
+        if errors and min(errors) < 0:
             raise PoseError("a solution's expected_error needs metres of 0 or more")
         return Solution(
             rotations,

@@ -134,7 +134,7 @@ class RotationFilter(_Filter[Quat]):
         if last is None or value is None:
             self.first = self.value = raw
             return raw
-        # the turn from the last value, world axes: raw quat.conj(last)
+        # the turn from the last value, world axes: raw conj(last)
         aw, ax, ay, az = raw
         bw, bx, by, bz = last
         w = aw * bw + ax * bx + ay * by + az * bz

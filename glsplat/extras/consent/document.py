@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
-from typing import Any, NotRequired, TypedDict, Unpack
+from typing import Any, NotRequired, TypedDict
 
 from glsplat.errors import FormatError
 from glsplat.extras.consent.keys import PrivateKey, signature_of, signed_by
@@ -71,25 +71,35 @@ class Terms(TypedDict):
 
 
 def signed_record(
-    key: PrivateKey, *, splats_sha256: str, file_sha256: str | None, **terms: Unpack[Terms]
+    key: PrivateKey,
+    *,
+    splats_sha256: str,
+    file_sha256: str | None,
+    subject: str,
+    given_by: str,
+    purpose: str,
+    start: date,
+    until: date,
+    drivers: list[str],
+    hand_out: bool = False,
 ) -> dict[str, Any]:
     """Return a record with its signature (Ed25519, RFC 8032). Raises FormatError naming an invalid field.
 
     ``hand_out`` is written only if true, so that older versions read all other records.
     """
     record: dict[str, Any] = {
-        "subject": terms["subject"],
-        "given_by": terms["given_by"],
-        "purpose": terms["purpose"],
-        "from": terms["start"].isoformat(),
-        "until": terms["until"].isoformat(),
-        "drivers": terms["drivers"],
+        "subject": subject,
+        "given_by": given_by,
+        "purpose": purpose,
+        "from": start.isoformat(),
+        "until": until.isoformat(),
+        "drivers": drivers,
         "splats_sha256": splats_sha256,
         "key": key.public,
     }
     if file_sha256 is not None:
         record[_FILE] = file_sha256
-    if terms.get("hand_out"):
+    if hand_out:
         record[_HAND_OUT] = True
     record["signature"] = signature_of(key, canonical(record))
     read_record(record)

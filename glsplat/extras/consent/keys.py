@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from glsplat.errors import FormatError
 from glsplat.io.files import naming, open_regular, replace_file
 from glsplat.io.secret_files import warn_if_exposed
-from glsplat.net.guard.state_dir import lock_of
 from glsplat.optional import require_package
 
 if TYPE_CHECKING:
@@ -139,6 +138,8 @@ _KEY = "consent-key"
 
 def kept_key(folder: Path) -> PrivateKey:
     """Return the key in the folder, created at the first call. Raises GlsplatError naming the file."""
+    from glsplat.net.guard.state_dir import lock_of  # here: who reads a consent needs no server
+
     path = folder / _KEY
     with lock_of(folder):
         return private_key(path) if path.exists() else new_key(path)

@@ -158,7 +158,7 @@ class DeviceReader:
 
     def _state(self, kind: str, action: Any, path: Any) -> float:
         """Return the state of a "float" or "boolean" action; 0 while it is not active."""
-        with called(f"the state of a {kind} action"):
+        with called(f"xrGetActionState{kind.capitalize()}"):
             read = getattr(self._xr, f"get_action_state_{kind}")
             state = read(self._session, self._xr.ActionStateGetInfo(action, path))
             return float(state.current_state) if state.is_active else 0.0
