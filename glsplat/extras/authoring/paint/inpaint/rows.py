@@ -25,6 +25,8 @@ MIN_TOLERANCE, _TOLERANCE_PER_SPREAD, _MAX_TOLERANCE = 0.06, 2.0, 0.14
 SAME_COLOUR_DISTANCE = 0.15
 """Colours nearer to each other, in square roots of linear light, count as one."""
 
+_MIN_ROW_FRACTION = 0.1  # of the median row's weight; a lighter row is the edge of an arm before the trunk
+_GAP_END_ROWS = 15  # beside hidden rows: their median colour is continued
 _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
 _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
@@ -59,28 +61,35 @@ class Rows:
 def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> Rows | None:
     """Return the rows between ``ends`` (metres) from samples ``at`` [K] metres; None if none has enough of them.
 
-    A row takes samples within ``reach`` metres.
+    A row takes samples within ``reach`` metres. Rows with few samples take the colours around them.
     """
     count = max(2, int(np.ceil((ends[1] - ends[0]) / ROW_M)) + 1)
     order = np.argsort(at, kind="stable")
     at, look, weight = at[order], look[order], weight[order]
-    colour, tolerance, known = np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool)
-    for row in range(count):
-        middle = ends[0] + row * ROW_M
-        some = slice(*np.searchsorted(at, (middle - reach, middle + reach)))
-        if weight[some].sum() < MIN_ROW_WEIGHT:
-            continue
+    middles = ends[0] + np.arange(count) * ROW_M
+    first, last = (np.searchsorted(at, middles + side * reach) for side in (-1, 1))
+    total = np.append(0.0, np.cumsum(weight))
+    seen = total[last] - total[first]
+    enough = seen >= MIN_ROW_WEIGHT
+    if not enough.any():
+        return None
+    known = enough & (seen >= _MIN_ROW_FRACTION * np.median(seen[enough]))
+    colour, tolerance = np.zeros((count, 3)), np.zeros(count)
+    for row in np.flatnonzero(known):
+        some = slice(first[row], last[row])
         colour[row], spread = main_colour(look[some], weight[some])
         tolerance[row] = tolerance_of(spread)
-        known[row] = True
         if not np.isfinite(reach):
-            colour[:], tolerance[:], known[:] = colour[row], tolerance[row], True
+            colour[:], tolerance[:] = colour[row], tolerance[row]
             break
-    if not known.any():
-        return None
-    rows = np.arange(count)
-    colour = np.stack([np.interp(rows, rows[known], colour[known, k]) for k in range(3)], axis=1)
-    tolerance = np.interp(rows, rows[known], tolerance[known])
+    rows, seen_rows = np.arange(count), np.flatnonzero(known)
+    around = colour.copy()  # a median at the ends of a gap, since a print may end there
+    for gap in np.flatnonzero(np.diff(seen_rows) > 1):
+        around[seen_rows[gap]] = np.median(colour[seen_rows[max(0, gap + 1 - _GAP_END_ROWS) : gap + 1]], axis=0)
+        around[seen_rows[gap + 1]] = np.median(colour[seen_rows[gap + 1 : gap + 1 + _GAP_END_ROWS]], axis=0)
+    filled = np.stack([np.interp(rows, seen_rows, around[seen_rows, k]) for k in range(3)], axis=1)
+    colour = np.where(known[:, None], colour, filled)
+    tolerance = np.interp(rows, seen_rows, tolerance[known])
     return Rows(axis, ends[0], colour, tolerance, colour, np.full(count, np.inf), np.zeros(count, bool))
 
 

@@ -139,6 +139,17 @@ def test_steps_of_light_down_a_garment_are_smoothed_and_hems_stay() -> None:
     assert in_one_tone([]) == []  # a neck that no picture shows
 
 
+def test_hidden_rows_take_the_shirt_not_the_edge_of_an_arm_or_a_print() -> None:
+    shirt, other = np.full(3, 0.6), np.array([0.6, 0.1, 0.1])
+    at = np.linspace(0, 0.6, 1200)
+    for edge, fraction in ((0.4125, 0.03), (0.44, 1.0)):  # few samples of a sleeve; a print of 4 cm
+        look = np.where(((at > 0.4) & (at < edge))[:, None], other, shirt)
+        weight = np.where((at > 0.25) & (at < 0.4), 0.0, np.where(at < 0.4, 1.0, np.where(at < edge, fraction, 1.0)))
+        rows = rows_of(1, (0.0, 0.6), at, look, weight, 0.0125)
+        assert rows is not None
+        assert np.abs(rows.colour[(rows.places > 0.265) & (rows.places < 0.385)] - shirt).max() < 0.02
+
+
 def test_light_that_leaves_a_leg_aslant_is_no_hem() -> None:
     """The lit colour has most of the upper rows, the dark one of the lower: the main colour turns at once."""
     across, at = (each.ravel() for each in np.meshgrid(np.linspace(-0.07, 0.07, 60), np.linspace(0, 0.6, 400)))
