@@ -224,10 +224,8 @@ def _turned(splats: Splats, extensions: Bytes) -> Splats:
     if system == "RUB":
         return splats
     matrix = np.eye(4)
-    matrix[:3, :3] = HALF_TURN @ np.transpose(
-        [_DIRECTIONS[letter] for letter in system]
-    )  # to x right, y up, z back; it
-    # commutes with the half turn, so that it may come after it
+    # to x right, y up, z back; commutes with the half turn, so it may come after it
+    matrix[:3, :3] = HALF_TURN @ np.transpose([_DIRECTIONS[letter] for letter in system])
     return transformed(splats, matrix)
 
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 _COLOUR_ROUNDS = 8  # where colours alone are fitted
 _PERSON_HEIGHT_PX = 1536  # in the resampled photographs
 _PHOTO_REPEATS = 5  # photographs in each pass over all pictures
-_BODY_PX, _PAINTED_PX = 512, 1024  # a side, of pictures of the painted body and of its texture
+_BODY_PX = 512  # side of the pictures of the painted body
+_TEXTURE_PX = 1024  # side of its texture
 _UNUSED_TRUST = 0.01  # of pixels that are not painted; see ``FittedPicture.unused``
 _EDGE_PX = 4  # inside the outline, where colours are mixed with the background
 
@@ -51,7 +52,7 @@ def fitted_to_photos(
     from glsplat.extras.authoring.optimize.target_pictures import ViewConfig, pictures_of
 
     progress("painting the body", 0.0)
-    truth = bake(mesh, colours, _PAINTED_PX)
+    truth = bake(mesh, colours, _TEXTURE_PX)
     pictures = pictures_of(truth, seed, ViewConfig(size=_BODY_PX, supersample=2), progress=progress)
     photographs = [_picture(avatar, shot) for shot in shots]
     pictures += photographs * max(1, _PHOTO_REPEATS // len(photographs))

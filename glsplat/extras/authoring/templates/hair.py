@@ -47,7 +47,7 @@ _STRETCH = 0.75, 1.5  # of widths and heights
 _DEEPER = 0.95, 1.2  # of depths
 _BEHIND_SHOULDERS_M = 0.12  # that long hair goes on where the front loses it
 _MAX_LOCK_M = 0.03  # from that end
-_FRONT_PLAY_M = 0.006  # behind the bare body, of hair that it does not hide
+_FRONT_PLAY_M = 0.006  # hair so far behind the bare body still counts as visible
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
 _HAIR_PLAY_M, _GAP_M = 0.006, 0.02
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
@@ -129,7 +129,7 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, mirrored: bool, long: boo
 def _agreement(head: HeadView, seen: SeenHair, mesh: RiggedMesh) -> float:
     """Return the overlap of the template and the seen hair over their union, above the chin and below a hat.
 
-    What a picture shows as skin counts against a template: its hairline and fringe tell one from another.
+    What a picture shows as skin counts against a template: hairline and fringe distinguish templates.
     """
     spots, _, rgba = scattered(mesh, _TRIAL_POINTS, np.random.default_rng(0))
     there = head.camera(spots.at(mesh.vertices)[rgba[:, 3] > MIN_ALPHA])
@@ -215,7 +215,7 @@ def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHai
 
 
 def haired(hair: FittedHair) -> Bools:
-    """Return a mask [V] of head and neck below a hat, whose hair is the template."""
+    """Return a mask [V] of the skin of head and neck, below a hat's rim, that a template covers with hair."""
     out = hair.head.body.skin & vertices_of(hair.head.body, "head", "jaw", "neck")
     if hair.seen.hat is not None:
         out &= hair.head.plane_of(hair.head.bare)[:, 1] < hair.seen.hat

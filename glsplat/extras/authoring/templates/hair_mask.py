@@ -184,7 +184,7 @@ def _labelled_hair(
 
 
 def _from_head(mask: Bools, up: NDArray[np.floating], eyes: float, scalp: Bools) -> Bools:
-    """Return the connected parts of a mask that reach up to the eyes, and the ``scalp`` [h, w]; eyebrows do not."""
+    """Return the connected components of ``mask`` with a pixel of ``scalp`` [h, w] above the eyes: no eyebrows."""
     count, label = cv2.connectedComponents(mask.astype(np.uint8))
     highest = scalp & (up > eyes - 0.03)
     kept = [k for k in range(1, count) if (m := label == k).sum() > _MIN_PIXELS and highest[m].any()]
@@ -199,7 +199,7 @@ def _face(head: HeadView, box: tuple[slice, slice]) -> Bools:
 
 
 def _with_fringe(hair: Bools, face: Bools) -> Bools:
-    """Return ``hair`` [h, w] and what of the hair before a ``face`` hangs from it without a gap; a beard does not."""
+    """Return ``hair`` [h, w], continued downwards through the pixels of ``face`` that may be hair; a beard is apart."""
     out = hair.copy()
     for row in range(1, len(out)):
         out[row] |= out[row - 1] & face[row]

@@ -44,8 +44,8 @@ _LOCK_M = 0.01  # standard deviation of a blur that leaves light and shade, with
 _SCALP_SHADE, _SEEN_SCALP_SHADE = 0.6, 0.9  # of hair's colour, in its own shadow
 _SCALP_REACH_M, _CLOTH_REACH_M = 0.035, 0.03  # from the template: what it covers
 _MAX_SCALP_SIGMA_M = 0.012  # wider splats would show around the hair
-_NEAR_POINTS = 24  # of as many as there are splats of a template: those around one
-_MAX_LOPSIDED = 0.03  # radians, seen from the head's middle, from a point to the middle of these
+_NEAR_POINTS = 24  # the nearest of HAIR_SPLATS points of the hair, whose mean is taken
+_MAX_OFF_CENTRE_RAD = 0.03  # from a splat to the mean of these, seen from the middle of the head
 _MIN_VISIBILITY = 0.15
 _BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -111,7 +111,7 @@ def _drawn_back(head: HeadView, points: F64) -> F64:
 
 
 def _contrast(head: HeadView, mask: Bools) -> float:
-    """Return how far the locks within the picture's ``mask`` [H, W] differ in lightness, a standard deviation."""
+    """Return the standard deviation of lightness within ``mask`` [H, W], less a blur of ``_LOCK_M``."""
     rows, columns = np.nonzero(mask)
     box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
     light = _lightness(to_linear(head.shot.rgb[box] / 255)).astype(np.float32)[..., None]
@@ -124,7 +124,7 @@ def _contrast(head: HeadView, mask: Bools) -> float:
 def _coloured(rgb: F64, own: F64, contrast: float, points: F64) -> F64:
     """Return linear colours [M, 3]: the template's light and dark at a contrast, in the picture's ``own`` colour.
 
-    The contrast is that of locks at the size of splats, which average finer ones.
+    ``contrast`` is set for groups of splats; what is finer, splats average.
     """
     mine, theirs = _lightness(to_linear(rgb)), _lightness(own)
     tree = cKDTree(points[:: max(1, len(points) // HAIR_SPLATS)])
@@ -162,14 +162,14 @@ def _trust(head: HeadView, mask: Bools, there: F64, outwards: F64) -> F64:
 
 
 def _under(points: F64, means: F64, middle: F64) -> Bools:
-    """Return [N] which ``means`` [N, 3] have hair outwards from the ``middle`` of the head, and all around that.
+    """Return a mask [N] of the ``means`` [N, 3] that hair ``points`` surround on all sides, seen from ``middle``.
 
-    At an edge, wide splats would show beside the hair.
+    False at the edge of the hair, where wide splats would show beside it.
     """
     some = unit_vectors(points[:: max(1, len(points) // HAIR_SPLATS)] - middle)
     outwards = unit_vectors(means - middle)
     around = some[cKDTree(some).query(outwards, k=_NEAR_POINTS)[1]].mean(axis=1)
-    return lengths(around - outwards) < _MAX_LOPSIDED
+    return lengths(around - outwards) < _MAX_OFF_CENTRE_RAD
 
 
 def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> Avatar:

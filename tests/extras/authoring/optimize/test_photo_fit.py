@@ -101,7 +101,7 @@ def test_the_fit_reproduces_the_photograph(
 ) -> None:
     for name, value in FEW.items():
         monkeypatch.setitem(ViewConfig.__init__.__kwdefaults__, name, value)
-    monkeypatch.setattr(module, "_PAINTED_PX", 256)
+    monkeypatch.setattr(module, "_TEXTURE_PX", 256)
     told: list[str] = []
     avatar, colours = painted
     done = fitted_to_photos(
