@@ -45,7 +45,7 @@ class FrontMatches:
     def colours(self, shot: FittedPicture, points: SurfacePoints) -> TransferredColours:
         """Return the front's colours for the points."""
         share = (0.5 + points.at(self.across[:, None]) / (2 * _SEAM_M)).clip(0, 1)
-        mixed = np.zeros((len(share), 9))
+        mixed = np.zeros((len(share), 10))
         for match, weight in zip(self.points, (share, 1 - share), strict=True):
             some = np.flatnonzero(weight[:, 0] > 0)  # few are between the halves
             if len(some):
@@ -63,16 +63,17 @@ class TransferredColours:
     visibility: F64  # [M] from 0, hidden, to 1
     detail: F64  # [M] from 0, plain, to 1, full of detail
     known: F64  # [M] 1 where the picture shows the match, 0 where it was filled in
+    relief: F64  # [M] ``relief_of`` the match
 
 
 def _sample_matches(shot: FittedPicture, points: SurfacePoints, match: SurfacePoints) -> F64:
-    """Return [M, 9] colours, normals, visibility, detail, and whether the picture shows them."""
+    """Return [M, 10] the fields of ``TransferredColours``."""
     layer = shot.layers_at(points)
     own = (shot.layer[match.corners[:, 0]] == shot.layer)[:, None]  # arms in front of a trunk do not colour its back
     visible = match.at(shot.visible[:, None]) * own
     there = points.at(np.hstack([match.at(shot.view.pixels), match.directions(shot.normals), visible]))
     pixels = there[:, :2]
-    fine = shot.detail(pixels, layer), shot.shows_layer(pixels, layer)
+    fine = shot.detail(pixels, layer), shot.shows_layer(pixels, layer), shot.relief(pixels, layer)
     return np.column_stack([shot.sample(pixels, layer), there[:, 2:], *fine])
 
 

@@ -133,8 +133,10 @@ class Painter:
         ratio = (shade / source_shade).clip(*_SHADE_RATIO_RANGE)
         round_parts = vertices_of(body, *_UNMATCHED)
         trust = matched.visibility * (1 - points.at(round_parts.astype(float)[:, None])[:, 0])
-        trust = trust * material.likeness(matched.linear / source_shade[:, None])
-        # folds, shadows and prints of a front have no counterpart behind, patterns have
+        source = matched.linear / source_shade[:, None]
+        same = trust * material.likeness(source, patterned=False)
+        trust = trust * material.likeness(source)
+        # shadows and prints of a front have no counterpart behind, patterns have; wrinkles are as likely there
         arms, cloth = self.cloth.on_sleeves(points), material.known > 0
         trust = trust * ~(cloth & ~material.pattern) * np.where(cloth & arms, matched.known, 1.0)
         covered, colour = self.head.at(points)
@@ -146,7 +148,7 @@ class Painter:
         plain = points.at(self.plain) + material.known[:, None] * material.colour
         low, high = ((factor * material.known)[:, None] * material.colour for factor in _LIGHT_RANGE)
         plain = plain.clip(low, np.where(material.known[:, None] > 0, high, np.inf))
-        sewn, seams = self.tailoring.at(points)
+        sewn, seams = self.tailoring.at(points, matched.relief * same)
         plain *= sewn[:, None]
         guess = (rest[:, None] * plain + covered[:, None] * colour) * shade[:, None]
         guess += (trust * ratio)[:, None] * matched.linear

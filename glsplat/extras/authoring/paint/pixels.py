@@ -12,6 +12,9 @@ from glsplat.rotations import component_sums
 F64 = NDArray[np.float64]
 
 _DETAIL_PATCH_PX = 7
+_RELIEF_SIGMA_FRACTION = 0.013  # of the person's height: wider changes of light are shading
+_MAX_RELIEF, _RELIEF_ROUNDS = 0.3, 3  # logarithm of brightness; rounds in which what exceeds it is left out
+_MIN_LIGHT = 0.01  # added to linear light: the noise of black cloth is no relief
 _FULL_DETAIL_SPREAD = 0.12  # standard deviation of perceptual colour in a patch
 
 
@@ -29,6 +32,21 @@ def detail_of(picture: NDArray[np.float32]) -> NDArray[np.float32]:
         - cv2.blur(colour, (_DETAIL_PATCH_PX, _DETAIL_PATCH_PX)) ** 2
     )
     return np.minimum(np.sqrt(component_sums(np.maximum(variance, 0))) / _FULL_DETAIL_SPREAD, 1)
+
+
+def relief_of(picture: NDArray[np.float32], some: NDArray[np.bool_], height: float) -> NDArray[np.float32]:
+    """Return [H, W] the logarithm of brightness over its mean nearby; 0 where it is large: prints, straps, buttons.
+
+    ``picture`` is linear light, of which ``some`` pixels count; ``height`` is that of the person in pixels.
+    """
+    light = np.log(component_sums(picture) + _MIN_LIGHT)
+    sigma = _RELIEF_SIGMA_FRACTION * height
+    relief = np.zeros_like(light)
+    for _ in range(_RELIEF_ROUNDS):
+        some = some & (np.abs(relief) < _MAX_RELIEF)
+        relief = light - masked_blur(light[..., None], some, sigma, sigma)[0][..., 0]
+    inside = cv2.GaussianBlur(some.astype(np.float32), (0, 0), sigma / 4)  # fades out before an edge
+    return np.where(some, relief.clip(-_MAX_RELIEF, _MAX_RELIEF) * (2 * inside - 1).clip(0), np.float32(0))
 
 
 def bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:

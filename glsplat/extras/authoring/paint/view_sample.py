@@ -183,6 +183,10 @@ class FittedPicture:
         """Return [M] the picture's detail around each pixel [M, 2], from 0, plain, to 1."""
         return np.asarray(self._nearest_pixel(self.picture_layers.details, pixels, layer), np.float64)
 
+    def relief(self, pixels: F64, layer: NDArray[np.intp] | None = None) -> F64:
+        """Return [M] the ``relief_of`` each pixel [M, 2]."""
+        return np.asarray(self._nearest_pixel(self.picture_layers.reliefs, pixels, layer), np.float64)
+
     def background(self, pixels: F64) -> F64:
         """Return [M, 3] linear colours of the background nearest to pixels [M, 2]."""
         scale, colours = self.picture_layers.background

@@ -22,7 +22,7 @@ from glsplat.extras.authoring.paint.picture_layers.fill import (
 from glsplat.extras.authoring.paint.picture_layers.labels import labels_of
 from glsplat.extras.authoring.paint.picture_layers.patches import continue_cloth
 from glsplat.extras.authoring.paint.picture_layers.shadows import shadow_gain
-from glsplat.extras.authoring.paint.pixels import detail_of, linear_light, upscale_labels
+from glsplat.extras.authoring.paint.pixels import detail_of, linear_light, relief_of, upscale_labels
 from glsplat.meshes import MeshPart, RiggedMesh
 from glsplat.rotations import component_sums
 from glsplat.skinning.skin import strongest_joint
@@ -182,6 +182,11 @@ class PictureLayers:
     def details(self) -> list[NDArray[np.float32]]:
         """[H, W] of each layer the detail, from 0, plain, to 1."""
         return map_threads(lambda layer: detail_of(layer.picture), self.layers)
+
+    @locked_cached_property
+    def reliefs(self) -> list[NDArray[np.float32]]:
+        """[H, W] of each layer the ``relief_of`` its pixels."""
+        return map_threads(lambda layer: relief_of(layer.picture, layer.known > _MIN_KNOWN, self.height), self.layers)
 
     @locked_cached_property
     def background(self) -> tuple[float, NDArray[np.float32]]:

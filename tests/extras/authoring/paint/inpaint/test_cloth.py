@@ -183,6 +183,13 @@ def test_lettering_is_no_band_and_stripes_and_belts_are() -> None:
     assert np.array_equal(cleaned(0.14, colour), colour)  # a bare belly
     assert np.abs(cleaned(0.14, np.tile(colour[0], (40, 1))) - colour[0]).max() < 0.01
 
+    alone = np.tile(colour[0], (40, 1))
+    alone[20] = colour[15]
+    for pattern in (False, True):
+        rows = Rows(1, 0.0, alone, np.full(40, 0.08), alone, flat, np.full(40, pattern))
+        kept = without_mixed_rows(rows, alone).colour
+        assert np.abs(kept[20] - (colour[15] if pattern else colour[0])).max() < 0.01
+
 
 def test_a_back_is_covered_between_straps(monkeypatch: pytest.MonkeyPatch) -> None:
     wide = 0.05  # from the middle to the straps' outer edges, in heights of the person
