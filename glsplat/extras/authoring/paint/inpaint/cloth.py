@@ -32,6 +32,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     tolerance_of,
     with_pattern_above,
     without_mixed_rows,
+    without_straps,
     without_unseen_edges,
 )
 from glsplat.extras.authoring.paint.ramps import ramp
@@ -218,6 +219,8 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
                 least = NECKLINE_DISTANCE if number in SLEEVES else _SKIN_DISTANCE
                 pattern &= np.linalg.norm(these.colour - skin, axis=1) > least
             these = replace(these, pattern=pattern)
+        if number in _FEET:
+            return without_straps(without_mixed_rows(these), at, look[taken], weight[taken])
         if number != TRUNK:
             plain = without_mixed_rows(these)
             return without_unseen_edges(plain, at, across, look[taken]) if number in LEGS else plain

@@ -33,6 +33,7 @@ _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _EDGE_ROWS, _STRIP_M = 4, 0.03  # compared on each side of an edge; strips along the limb in which it has to be seen
 _MIN_STRIP_SAMPLES, _MIN_EDGE_SHARE = 6, 0.5  # of the rows' difference, for the median strip
 _SOFT_ROWS = 9  # over which the colours of rows without an edge in the picture turn
+_MIN_BARE_FRACTION, _SOLE_M = 0.25, 0.025  # of a row of a sandal; height of its sole
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 
 
@@ -132,6 +133,19 @@ def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
             mean, own = (rows.colour[before[near]] + rows.colour[after[near]]) / 2, rows.colour[row]
             end = mean if flanks is None else flanks[row]
             colour[row] = mean if np.linalg.norm(end - mean) < np.linalg.norm(end - own) else own
+    return replace(rows, colour=colour, outer=colour)
+
+
+def without_straps(rows: Rows, at: F64, look: F64, weight: F64) -> Rows:
+    """Return a foot's rows in the ankle's colour where a sandal shows enough of it; the sole stays.
+
+    Samples [K] of colour ``look`` [K, 3] and ``weight`` are ``at`` metres of height.
+    """
+    row, ankle, count = rows.index(at), rows.colour[-1], len(rows.colour)
+    bare = np.bincount(row, weight * (lengths(look - ankle) < SAME_COLOUR_DISTANCE), count)
+    share = bare / np.maximum(np.bincount(row, weight, count), 1e-9)
+    some = (share > _MIN_BARE_FRACTION) & (rows.places > rows.first + _SOLE_M)
+    colour = np.where(some[:, None], ankle, rows.colour)
     return replace(rows, colour=colour, outer=colour)
 
 

@@ -16,6 +16,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     rows_of,
     with_pattern_above,
     without_mixed_rows,
+    without_straps,
     without_unseen_edges,
 )
 from glsplat.extras.authoring.paint.inpaint.sleeves import cut_sleeves
@@ -148,6 +149,19 @@ def test_hidden_rows_take_the_shirt_not_the_edge_of_an_arm_or_a_print() -> None:
         rows = rows_of(1, (0.0, 0.6), at, look, weight, 0.0125)
         assert rows is not None
         assert np.abs(rows.colour[(rows.places > 0.265) & (rows.places < 0.385)] - shirt).max() < 0.02
+
+
+def test_a_sandal_has_a_sole_and_straps_in_front_only() -> None:
+    skin, leather = np.array([0.6, 0.5, 0.4]), np.array([0.2, 0.15, 0.1])
+    at = np.linspace(0, 0.14, 1400)
+    for bare, heel in ((0.4, skin), (0.1, leather)):  # a sandal, and a shoe with an open toe
+        shown = np.arange(len(at)) % 10 < 10 * bare
+        look = np.where(((at > 0.12) | ((at > 0.02) & shown))[:, None], skin, leather)
+        rows = rows_of(1, (0.0, 0.14), at, look, np.ones(len(at)), 0.0125)
+        assert rows is not None
+        colour = without_straps(rows, at, look, np.ones(len(at))).colour
+        assert np.abs(colour[4:10] - heel).max() < 0.05
+        assert np.abs(colour[0] - leather).max() < 0.05 and np.abs(colour[-1] - skin).max() < 0.01
 
 
 def test_light_that_leaves_a_leg_aslant_is_no_hem() -> None:
