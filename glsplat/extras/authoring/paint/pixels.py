@@ -12,7 +12,7 @@ from glsplat.rotations import component_sums
 F64 = NDArray[np.float64]
 
 _DETAIL_PATCH_PX = 7
-_RELIEF_SIGMA_FRACTION = 0.013  # of the person's height: wider changes of light are shading
+_RELIEF_SIGMA_FRACTION = 0.018  # of the person's height: wider changes of light are shading
 _MAX_RELIEF, _RELIEF_ROUNDS = 0.3, 3  # logarithm of brightness; rounds in which what exceeds it is left out
 _MIN_LIGHT = 0.01  # added to linear light: the noise of black cloth is no relief
 _FULL_DETAIL_SPREAD = 0.12  # standard deviation of perceptual colour in a patch

@@ -114,14 +114,15 @@ def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
 def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
     """Return the rows without those of several colours between two that agree: an aslant hem, or lettering.
 
-    A single row between two that agree is lettering, too, as belts have more rows. Rows of a pattern stay, and those
-    that have their colour at their ends, too, ``flanks`` [R, 3]: a bare belly.
+    Rows of a pattern stay, and those that have their colour at their ends, too, ``flanks`` [R, 3]: a bare belly. With
+    flanks, a single row between two that agree is lettering, too: belts have more rows, hems of legs may not.
     """
     colour, odd = rows.colour.copy(), (rows.tolerance > _MIXED_TOLERANCE) & ~rows.pattern
-    mean = (colour[:-2] + colour[2:]) / 2
-    alone = (lengths(colour[:-2] - colour[2:]) < _MIXED_DISTANCE) & (lengths(colour[1:-1] - mean) > _MIXED_DISTANCE)
-    alone &= ~rows.pattern[1:-1]
-    colour[1:-1][alone] = mean[alone]
+    if flanks is not None:
+        mean = (colour[:-2] + colour[2:]) / 2
+        alike = lengths(colour[:-2] - colour[2:]) < _MIXED_DISTANCE
+        alone = alike & (lengths(colour[1:-1] - mean) > _MIXED_DISTANCE) & ~rows.pattern[1:-1]
+        colour[1:-1][alone] = mean[alone]
     far = np.linalg.norm(colour[:, None] - colour, axis=2) > _MIXED_DISTANCE
     for row in np.flatnonzero(odd).tolist():
         first, last = max(row - _MIXED_ROWS, 0), row + _MIXED_ROWS
