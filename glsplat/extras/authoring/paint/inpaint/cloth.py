@@ -30,6 +30,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     main_colour,
     rows_of,
     tolerance_of,
+    with_bare_neck,
     with_pattern_above,
     without_mixed_rows,
     without_straps,
@@ -237,7 +238,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
             rows[right] = replace(other_one, pattern=np.pad(both, (0, len(other_one.pattern) - count)))
     trunk, neck, here = rows[TRUNK], rows[NECK], np.flatnonzero(mine == TRUNK)
     if neck is not None and skin is not None:
-        rows[NECK] = _clean_neck(neck, skin)
+        rows[NECK] = with_bare_neck(neck, skin)
     if trunk is not None and skin is not None:
         trunk = _cover_shoulders(trunk, where[here], look[here], visibility[here], skin, armpit)
     rows[TRUNK] = None if trunk is None else with_pattern_above(trunk, armpit, _CHEST_M)
@@ -298,14 +299,6 @@ def _pattern_sleeve(rows: Rows, trunk: Rows, skin: F64, armpit: float) -> Rows:
         return rows
     bare = np.linalg.norm(rows.colour - skin, axis=1) < SAME_COLOUR_DISTANCE
     return replace(rows, pattern=rows.pattern | ~np.logical_or.accumulate(bare))
-
-
-def _clean_neck(rows: Rows, skin: F64) -> Rows:
-    """Return a neck's rows with skin up to the hair, also where a beard or the chin's shadow covers it in front."""
-    colour, tolerance = rows.colour.copy(), rows.tolerance.copy()
-    first = int(np.linalg.norm(colour - skin, axis=1).argmin())
-    colour[first:], tolerance[first:] = colour[first], tolerance[first]
-    return replace(rows, colour=colour, outer=colour, tolerance=tolerance)
 
 
 def _face_colour(look: F64) -> F64:

@@ -33,6 +33,7 @@ _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _EDGE_ROWS, _STRIP_M = 4, 0.03  # compared on each side of an edge; strips along the limb in which it has to be seen
 _MIN_STRIP_SAMPLES, _MIN_EDGE_SHARE = 6, 0.5  # of the rows' difference, for the median strip
 _SOFT_ROWS = 9  # over which the colours of rows without an edge in the picture turn
+_NECK_SHADING = 0.4  # necks are brighter than bearded faces, and darker below a chin
 _MIN_BARE_FRACTION, _SOLE_M = 0.25, 0.025  # of a row of a sandal; height of its sole
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 
@@ -135,6 +136,20 @@ def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
             end = mean if flanks is None else flanks[row]
             colour[row] = mean if np.linalg.norm(end - mean) < np.linalg.norm(end - own) else own
     return replace(rows, colour=colour, outer=colour)
+
+
+def with_bare_neck(rows: Rows, skin: F64) -> Rows:
+    """Return a neck's rows with skin from its lowest bare row up, whatever beard or shadow of the chin is in front.
+
+    ``skin`` [3] is the face's colour, in square roots of linear light.
+    """
+    colour, tolerance = rows.colour.copy(), rows.tolerance.copy()
+    from_skin = unlike(colour, skin[None], _NECK_SHADING)
+    nearest, light = int(from_skin.argmin()), lengths(colour)
+    bare = (from_skin < from_skin[nearest] + MIN_TOLERANCE) & (light > (1 - _NECK_SHADING) * light[nearest])
+    first = int(bare.argmax())
+    colour[first:], tolerance[first:] = colour[nearest], tolerance[nearest]
+    return replace(rows, colour=colour, outer=colour, tolerance=tolerance)
 
 
 def without_straps(rows: Rows, at: F64, look: F64, weight: F64) -> Rows:

@@ -14,6 +14,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     Rows,
     in_one_tone,
     rows_of,
+    with_bare_neck,
     with_pattern_above,
     without_mixed_rows,
     without_straps,
@@ -149,6 +150,18 @@ def test_hidden_rows_take_the_shirt_not_the_edge_of_an_arm_or_a_print() -> None:
         rows = rows_of(1, (0.0, 0.6), at, look, weight, 0.0125)
         assert rows is not None
         assert np.abs(rows.colour[(rows.places > 0.265) & (rows.places < 0.385)] - shirt).max() < 0.02
+
+
+def test_a_neck_is_bare_above_its_lowest_skin_and_covered_below() -> None:
+    skin, black = np.array([0.45, 0.31, 0.23]), np.full(3, 0.08)
+    flat = np.zeros(14)
+    beard, collar = np.tile(skin, (14, 1)), np.tile(skin, (14, 1))
+    beard[4:9], collar[:9] = black, black
+    for colour, cloth in ((beard, 0), (collar, 9)):
+        colour[-2:] -= 0.01  # the nearest to the face's colour
+        bare = with_bare_neck(Rows(1, 1.5, colour, flat, colour, flat, flat > 0), skin - 0.05).colour
+        assert np.abs(bare[cloth:] - skin).max() < 0.02
+        assert np.array_equal(bare[:cloth], colour[:cloth])
 
 
 def test_a_sandal_has_a_sole_and_straps_in_front_only() -> None:
