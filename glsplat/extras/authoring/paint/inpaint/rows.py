@@ -115,15 +115,10 @@ def main_colour(look: F64, weight: F64) -> tuple[F64, float]:
 def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
     """Return the rows without those of several colours between two that agree: an aslant hem, or lettering.
 
-    Rows of a pattern stay, and those that have their colour at their ends, too, ``flanks`` [R, 3]: a bare belly. With
-    flanks, a single row between two that agree is lettering, too: belts have more rows, hems of legs may not.
+    Rows of a pattern stay, and those that have their colour at their ends, too, ``flanks`` [R, 3]: a bare belly. If
+    one such row is left alone, it is lettering, too: belts have more rows. Hems of legs may have one, and no flanks.
     """
     colour, odd = rows.colour.copy(), (rows.tolerance > _MIXED_TOLERANCE) & ~rows.pattern
-    if flanks is not None:
-        mean = (colour[:-2] + colour[2:]) / 2
-        alike = lengths(colour[:-2] - colour[2:]) < _MIXED_DISTANCE
-        alone = alike & (lengths(colour[1:-1] - mean) > _MIXED_DISTANCE) & ~rows.pattern[1:-1]
-        colour[1:-1][alone] = mean[alone]
     far = np.linalg.norm(colour[:, None] - colour, axis=2) > _MIXED_DISTANCE
     for row in np.flatnonzero(odd).tolist():
         first, last = max(row - _MIXED_ROWS, 0), row + _MIXED_ROWS
@@ -135,6 +130,11 @@ def without_mixed_rows(rows: Rows, flanks: F64 | None = None) -> Rows:
             mean, own = (rows.colour[before[near]] + rows.colour[after[near]]) / 2, rows.colour[row]
             end = mean if flanks is None else flanks[row]
             colour[row] = mean if np.linalg.norm(end - mean) < np.linalg.norm(end - own) else own
+    if flanks is not None:
+        below, above = colour[:-2], colour[2:]
+        between = (below + above) / 2
+        alone = (lengths(above - below) < _MIXED_DISTANCE) & (lengths(colour[1:-1] - between) > _MIXED_DISTANCE)
+        colour[1:-1] = np.where((alone & ~rows.pattern[1:-1])[:, None], between, colour[1:-1])
     return replace(rows, colour=colour, outer=colour)
 
 
