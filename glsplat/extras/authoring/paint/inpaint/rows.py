@@ -33,8 +33,8 @@ _MIXED_DISTANCE = 0.1  # from these, at least, and between them, at most
 _EDGE_ROWS, _STRIP_M = 4, 0.03  # compared on each side of an edge; strips along the limb in which it has to be seen
 _MIN_STRIP_SAMPLES, _MIN_EDGE_SHARE = 6, 0.5  # of the rows' difference, for the median strip
 _SOFT_ROWS = 9  # over which the colours of rows without an edge in the picture turn
-_NECK_SHADING = 0.4  # necks are brighter than bearded faces, and darker below a chin
-_MIN_BARE_FRACTION, _SOLE_M = 0.25, 0.025  # of a row of a sandal; height of its sole
+_NECK_SHADING = 0.4  # fraction by which a bare neck may be brighter or darker than the face
+_MIN_SANDAL_SKIN_FRACTION, _SOLE_M = 0.25, 0.025  # of a row of a foot that is skin; height of the sole
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 
 
@@ -160,7 +160,7 @@ def without_straps(rows: Rows, at: F64, look: F64, weight: F64) -> Rows:
     row, ankle, count = rows.index(at), rows.colour[-1], len(rows.colour)
     bare = np.bincount(row, weight * (lengths(look - ankle) < SAME_COLOUR_DISTANCE), count)
     share = bare / np.maximum(np.bincount(row, weight, count), 1e-9)
-    some = (share > _MIN_BARE_FRACTION) & (rows.places > rows.first + _SOLE_M)
+    some = (share > _MIN_SANDAL_SKIN_FRACTION) & (rows.places > rows.first + _SOLE_M)
     colour = np.where(some[:, None], ankle, rows.colour)
     return replace(rows, colour=colour, outer=colour)
 
