@@ -14,6 +14,7 @@ F64 = NDArray[np.float64]
 _DETAIL_PATCH_PX = 7
 _RELIEF_SIGMA_FRACTION = 0.018  # of the person's height: wider changes of light are shading
 _MAX_RELIEF, _RELIEF_ROUNDS = 0.3, 3  # logarithm of brightness; rounds in which what exceeds it is left out
+_MEAN_SIGMA_PX = 5.0  # of the smaller picture in which the mean is taken
 _MIN_LIGHT = 0.01  # added to linear light: the noise of black cloth is no relief
 _FULL_DETAIL_SPREAD = 0.12  # standard deviation of perceptual colour in a patch
 
@@ -39,14 +40,29 @@ def relief_of(picture: NDArray[np.float32], some: NDArray[np.bool_], height: flo
 
     ``picture`` is linear light, of which ``some`` pixels count; ``height`` is that of the person in pixels.
     """
-    light = np.log(component_sums(picture) + _MIN_LIGHT)
+    relief = np.zeros(some.shape, np.float32)
+    if not some.any():
+        return relief
+    rows, columns = (np.flatnonzero(some.any(axis=axis)) for axis in (1, 0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    light, some = np.log(component_sums(picture[box]) + _MIN_LIGHT), some[box]
     sigma = _RELIEF_SIGMA_FRACTION * height
-    relief = np.zeros_like(light)
+    scale = min(1.0, _MEAN_SIGMA_PX / sigma)
+    size = tuple(max(1, round(side * scale)) for side in some.shape[::-1])
+
+    def blurred(values: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT))
+
+    here = np.zeros_like(light)
     for _ in range(_RELIEF_ROUNDS):
-        some = some & (np.abs(relief) < _MAX_RELIEF)
-        relief = light - masked_blur(light[..., None], some, sigma, sigma)[0][..., 0]
-    inside = cv2.GaussianBlur(some.astype(np.float32), (0, 0), sigma / 4)  # fades out before an edge
-    return np.where(some, relief.clip(-_MAX_RELIEF, _MAX_RELIEF) * (2 * inside - 1).clip(0), np.float32(0))
+        some = some & (np.abs(here) < _MAX_RELIEF)
+        weight = some.astype(np.float32)
+        small = (cv2.resize(values, size, interpolation=cv2.INTER_AREA) for values in (weight * light, weight))
+        total, count = (blurred(values, scale * sigma) for values in small)
+        here = light - cv2.resize(total / np.maximum(count, 1e-9), light.shape[::-1])
+    inside = blurred(some.astype(np.float32), sigma / 4)  # fades out before an edge
+    relief[box] = some * here.clip(-_MAX_RELIEF, _MAX_RELIEF) * (2 * inside - 1).clip(0)
+    return relief
 
 
 def bilinear(picture: NDArray[np.float32], pixels: F64) -> F64:
