@@ -5,6 +5,8 @@ It needs no OpenGL context: hidden-surface tests and target pictures for making 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,40 @@ def visible_faces(mesh: RiggedMesh, vertices: F64, camera: Camera) -> tuple[NDAr
     Both sides of a triangle are drawn; texels with alpha below one half are holes; triangles that cross the near
     plane are skipped. Barycentric coordinates are perspective-correct.
     """
+    found = _fragments(mesh, vertices, camera)
+    order = np.argsort(found.nearness, kind="stable")  # the nearest is written last
+    pixel = found.pixel[order]
+    ids = np.full(camera.width * camera.height, -1, np.int64)
+    ids[pixel] = found.face[order]
+    weights = np.zeros((camera.width * camera.height, 3))
+    weights[pixel] = found.bary[order]
+    return ids.reshape(camera.height, camera.width), weights.reshape(camera.height, camera.width, 3)
+
+
+def depth_range(mesh: RiggedMesh, vertices: F64, camera: Camera) -> tuple[F64, F64]:
+    """Return the camera z [H, W] of the nearest and of the farthest surface at each pixel centre, metres.
+
+    Infinite and minus infinite where there is none; the surface is that of ``visible_faces``.
+    """
+    found = _fragments(mesh, vertices, camera)
+    order = np.argsort(found.nearness, kind="stable")
+    pixel, depth = found.pixel[order], 1 / found.nearness[order]
+    nearest, farthest = (np.full((camera.height, camera.width), end) for end in (np.inf, -np.inf))
+    nearest.ravel()[pixel] = depth
+    farthest.ravel()[pixel[::-1]] = depth[::-1]
+    return nearest, farthest
+
+
+class _Fragments(NamedTuple):
+    """The places where triangles cover pixel centres."""
+
+    face: NDArray[np.int64]  # [N]
+    pixel: NDArray[np.int64]  # [N] row by row
+    bary: F64  # [N, 3]
+    nearness: F64  # [N] 1 / camera z
+
+
+def _fragments(mesh: RiggedMesh, vertices: F64, camera: Camera) -> _Fragments:
     faces = mesh.faces
     view = vertices @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
     depth = view[:, 2]
@@ -61,13 +97,7 @@ def visible_faces(mesh: RiggedMesh, vertices: F64, camera: Camera) -> tuple[NDAr
     if keep is not None:
         face, column, row, bary, nearness = face[keep], column[keep], row[keep], bary[keep], nearness[keep]
 
-    order = np.argsort(nearness, kind="stable")  # the nearest is written last
-    pixel = (row * camera.width + column)[order]
-    ids = np.full(camera.width * camera.height, -1, np.int64)
-    ids[pixel] = face[order]
-    weights = np.zeros((camera.width * camera.height, 3))
-    weights[pixel] = bary[order]
-    return ids.reshape(camera.height, camera.width), weights.reshape(camera.height, camera.width, 3)
+    return _Fragments(face, row * camera.width + column, bary, nearness)
 
 
 def pixel_span(first: F64, second: F64, third: F64, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -13,15 +13,17 @@ from glsplat.arrays import F64
 from glsplat.avatar import Avatar
 from glsplat.camera import Camera, look_at
 from glsplat.extras.authoring.compute.threads import map_threads
-from glsplat.extras.authoring.geometry.raster import visible_faces
+from glsplat.extras.authoring.geometry.raster import depth_range
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.geometry.visibility import probe_poses, sphere
 from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.light.surface import Surface
 from glsplat.meshes import RiggedMesh, vertex_normals
-from glsplat.rotations import component_sums, signed_axes
+from glsplat.rotations import signed_axes
 from glsplat.skinning.pose import Pose
 from glsplat.splats import Splats
+
+Bools = NDArray[np.bool_]
 
 _DIRECTIONS = 48
 _CAMERA_DISTANCE_M = 60.0  # nearly parallel rays
@@ -43,15 +45,17 @@ _MIN_OCCLUSION = 0.25  # teeth are hidden in a shut mouth, and must not be black
 def ambient_occlusion(mesh: RiggedMesh, vertices: F64, directions: int = _DIRECTIONS) -> F64:
     """Return [V] from 0, hidden, to 1, open, for a mesh whose ``vertices`` [V, 3] are posed; deterministic.
 
-    Each direction of a Fibonacci lattice is one depth map; a vertex is tested slightly off its surface.
+    Two opposite directions, of a Fibonacci lattice over the upper half, share one depth map; a vertex is tested
+    slightly off its surface.
     """
     normals = vertex_normals(vertices, mesh.faces)
     arriving, whole = np.zeros(len(vertices)), np.zeros(len(vertices))
-    sky = sphere(directions)
-    for direction, lit in zip(sky, map_threads(lambda way: _lit_from(mesh, vertices, way, normals), sky), strict=True):
-        cosine = np.maximum(normals @ direction, 0)
-        arriving += cosine * lit
-        whole += cosine
+    sky = sphere(directions)[: directions // 2]
+    for direction, both in zip(sky, map_threads(lambda way: _lit_from(mesh, vertices, way, normals), sky), strict=True):
+        for way, lit in zip((direction, -direction), both, strict=True):
+            cosine = np.maximum(normals @ way, 0)
+            arriving += cosine * lit
+            whole += cosine
     return _smoothed(mesh, np.asarray(arriving / np.maximum(whole, 1e-9)))
 
 
@@ -67,21 +71,18 @@ def _smoothed(mesh: RiggedMesh, values: F64) -> F64:
     return values
 
 
-def _lit_from(mesh: RiggedMesh, vertices: F64, direction: F64, normals: F64) -> NDArray[np.bool_]:
-    """Return [V] whether distant light from the unit ``direction`` [3] reaches each vertex unoccluded."""
+def _lit_from(mesh: RiggedMesh, vertices: F64, direction: F64, normals: F64) -> tuple[Bools, Bools]:
+    """Return [V] whether distant light from the unit ``direction`` [3], or the opposite one, reaches each vertex."""
     size, middle = _DEPTH_MAP_PX, (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     radius = float(np.linalg.norm(vertices - middle, axis=1).max()) + _MARGIN_M
     focal = size / 2 * _CAMERA_DISTANCE_M / radius
     K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
     camera = Camera(look_at(middle + _CAMERA_DISTANCE_M * direction, middle), K, size, size)
-    ids, bary = visible_faces(mesh, vertices, camera)
-    depth = np.full(ids.shape, np.inf)
-    hit = ids >= 0
-    distance = vertices @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    depth[hit] = component_sums(bary[hit] * distance[mesh.faces[ids[hit]]])
+    nearest, farthest = depth_range(mesh, vertices, camera)
     where = (vertices + _NORMAL_BIAS_M * normals) @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
-    pixel = np.floor(focal * where[:, :2] / where[:, 2:] + size / 2).astype(np.intp).clip(0, size - 1)
-    return np.asarray(depth[pixel[:, 1], pixel[:, 0]] + _DEPTH_TOLERANCE_M > where[:, 2])
+    column, row = np.floor(focal * where[:, :2] / where[:, 2:] + size / 2).astype(np.intp).clip(0, size - 1).T
+    depth = where[:, 2]
+    return nearest[row, column] > depth - _DEPTH_TOLERANCE_M, farthest[row, column] < depth + _DEPTH_TOLERANCE_M
 
 
 def locate_splats(mesh: RiggedMesh, splats: Splats, occlusion: F64) -> SurfacePoints:
