@@ -15,7 +15,13 @@ from glsplat.extras.authoring.body.segments import arm_layers, hand_weights
 from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.kinematics import PosedBody, projected
 from glsplat.extras.authoring.fit.landmarks import landmarks
-from glsplat.extras.authoring.fit.limbs import before_trunk, beside_arms, hidden_arms, limb_uncertainty, missing_part
+from glsplat.extras.authoring.fit.limbs import (
+    before_trunk,
+    distance_to_arms,
+    hidden_arms,
+    limb_uncertainty,
+    missing_part,
+)
 from glsplat.extras.authoring.fit.offsets import face_vertices, offset_directions, smooth_offsets, sole_vertices
 from glsplat.extras.authoring.fit.outline import (
     Rim,
@@ -117,12 +123,7 @@ def fit_body(views: Sequence[View], height: float | None = None) -> BodyFit:
     """
     body = open_body()
     starts = map_threads(lambda stance: _posed_from(stance, views, height, body), stances_of(views[0], body))
-    starts.sort(key=lambda start: start.penalty)
-    fit, least = _dressed(starts[0], views, body)
-    for start in starts[1:]:
-        if start.penalty < least:
-            other, penalty = _dressed(start, views, body)
-            fit, least = (other, penalty) if penalty < least else (fit, least)
+    fit, _ = min(map_threads(lambda start: _dressed(start, views, body), starts), key=lambda found: found[1])
     lines = [missing_part(fitted.uncertainty, view.side) for fitted, view in zip(fit.views, views, strict=True)]
     missing = [line for line in lines if line]
     return replace(fit, problem="; ".join([fit.problem] * bool(fit.problem) + missing))
@@ -227,15 +228,17 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     around = (_ARM_REACH_FRACTION if moved is None else _DRESSED_ARM_REACH_FRACTION) * view.figure
     column, row = np.floor(rim.pixels).astype(int).T
     by_arm = arm_layers(body)[rim.vertices] == 0
-    by_arm &= beside_arms(body, pixels, view.mask.shape, around)[row, column]
+    from_arms = distance_to_arms(body, pixels, view.mask.shape)
+    by_arm &= from_arms[row, column] <= around
     gaps[by_arm] = np.nan
     if moved is not None:  # before arms are in place, sleeves would make the trunk stout
-        shown = view.mask & ~beside_arms(body, pixels, view.mask.shape, _ARM_EDGE_FRACTION * view.figure)
+        shown = view.mask & (from_arms > _ARM_EDGE_FRACTION * view.figure)
         gaps[by_arm] = lengths_inside(shown, rim.pixels[by_arm], rim.normals[by_arm], reach)
     found = np.isfinite(gaps)
     if moved is not None:  # ignore edges of a held ball or bag
         hand_reach = _HAND_REACH_FRACTION * view.figure
-        near_hand = beside_arms(body, pixels, view.mask.shape, hand_reach, hand_weights(body) > 0.5)[row, column]
+        from_hands = distance_to_arms(body, pixels, view.mask.shape, hand_weights(body) > 0.5)
+        near_hand = from_hands[row, column] <= hand_reach
         found &= ~(near_hand & (gaps > _MAX_HELD_FRACTION * view.figure))
     return Rim(rim.vertices[found], rim.pixels[found], rim.normals[found], gaps[found])
 

@@ -37,16 +37,16 @@ LIMBS: dict[str, tuple[int, ...]] = {
 _MAX_UNCERTAINTY = 0.6  # of one leg, or of the head
 
 
-def beside_arms(
-    body: Body, pixels: F64, shape: tuple[int, int], reach: float, chosen: NDArray[np.bool_] | None = None
-) -> NDArray[np.bool_]:
-    """Return the mask [H, W] of the arms, or of the ``chosen`` [V] vertices, grown by ``reach`` pixels.
+def distance_to_arms(
+    body: Body, pixels: F64, shape: tuple[int, int], chosen: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """Return [H, W] distances in pixels to the arms, or to the ``chosen`` [V] vertices.
 
-    ``pixels`` [V, 2] are those of the body. The mask's edge within it belongs to an arm, not to the trunk.
+    ``pixels`` [V, 2] are those of the body. The mask's edge near an arm belongs to it, not to the trunk.
     """
     own = ((arm_layers(body) > 0) if chosen is None else chosen)[body.faces].all(axis=1)
     arms = projected_mask(pixels, body.faces[own], shape).astype(np.uint8)
-    return np.asarray(cv2.distanceTransform(1 - arms, cv2.DIST_L2, 3) <= reach)
+    return np.asarray(cv2.distanceTransform(1 - arms, cv2.DIST_L2, 3), np.float32)
 
 
 def hidden_arms(body: Body, where: F64, pixels: F64, focal: float, shape: tuple[int, int]) -> tuple[float, float]:

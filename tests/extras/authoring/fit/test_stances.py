@@ -9,7 +9,7 @@ from glsplat.extras.authoring.body.open_body import BETAS, open_body
 from glsplat.extras.authoring.body.segments import arm_layers, forearms
 from glsplat.extras.authoring.fit.body_fit import BodyFit, fit_body, fit_clothes
 from glsplat.extras.authoring.fit.kinematics import PLACE, PosedBody
-from glsplat.extras.authoring.fit.limbs import LIMBS, before_trunk, beside_arms, hidden_arms, limb_uncertainty
+from glsplat.extras.authoring.fit.limbs import LIMBS, before_trunk, distance_to_arms, hidden_arms, limb_uncertainty
 from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.outline import projected_mask
 from glsplat.extras.authoring.fit.prior import HINGES
@@ -61,7 +61,7 @@ def test_sleeves_of_crossed_arms_keep_the_shoulders_wide() -> None:
     view, posed, _ = posed_view(bent=CROSSED)
     marks = view.landmarks.copy()
     marks[[13, 14], 1] += 14  # 6.5 cm; a network has the elbows of crossed arms so much too low
-    worn = view.mask | beside_arms(open_body(), surface(posed)[1], view.mask.shape, 4)
+    worn = view.mask | (distance_to_arms(open_body(), surface(posed)[1], view.mask.shape) <= 4)
     fit = fit_body([View(worn, marks, view.visibility, FOCAL, world=view.world)], 1.7)
 
     def width(joints: np.ndarray) -> float:
