@@ -16,6 +16,7 @@ from glsplat.meshes import RiggedMesh
 from glsplat.rotations import lengths, unit_vectors
 
 _CANDIDATES = 8  # triangles tested for each point
+_SAMPLES_PER_TRIANGLE = 16  # on average, on small meshes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +97,7 @@ def _nearest_on(surface: trimesh.Trimesh, points: F64) -> tuple[F64, F64, NDArra
 
     Candidates are the triangles of the nearest samples of the surface: no spatial index of triangles is needed.
     """
-    count = max(200_000, 4 * len(surface.faces))
+    count = max(min(_SAMPLES_PER_TRIANGLE * len(surface.faces), 200_000), 4 * len(surface.faces))
     samples, of = trimesh.sample.sample_surface(surface, count, seed=0)
     tree = cKDTree(np.concatenate([samples, surface.triangles_center]), compact_nodes=False, balanced_tree=False)
     owner = np.concatenate([of, np.arange(len(surface.faces))])
