@@ -20,7 +20,7 @@ from glsplat.avatar import Avatar
 from glsplat.extras.authoring.body.segments import HANDS
 from glsplat.extras.authoring.compute.solvers import conjugate_gradients
 from glsplat.extras.authoring.geometry.visibility import HEAD
-from glsplat.extras.authoring.light.surfaces import ambient_occlusion, locate_splats, open_occlusion
+from glsplat.extras.authoring.light.surfaces import locate_splats, open_occlusion
 from glsplat.extras.authoring.optimize.surface_consistency import view_consistent
 from glsplat.extras.authoring.paint.lamp import Lamp, find_light
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
@@ -54,17 +54,16 @@ class CapturedLight:
     """[V, 3] unit, in the zero pose, of the clothes."""
 
 
-def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], painted: Lamp) -> CapturedLight:
+def captured_light(mesh: RiggedMesh, shots: Sequence[FittedPicture], occlusion: F64, painted: Lamp) -> CapturedLight:
     """Return the light of ``shots``, the front first, of the dressed body ``mesh``.
 
-    ``painted`` is the light in which unseen sides were painted.
+    ``occlusion`` [V] is ambient, in the front's pose; ``painted`` the light in which unseen sides were painted.
     """
     front = shots[0]
     vertices, up = front.view.vertices, front.view.root[:, 1]
     normals, zero_normals = cloth_normals(mesh, [vertices, mesh.posed(Pose.zero(len(mesh.skeleton)))])
     linear = front.sample(front.view.pixels, front.layer)
     lamp = find_light(normals, linear, front.visibility, up, np.array([0.0, 0, -1]), _LAMP_SIGMAS)
-    occlusion = ambient_occlusion(mesh, vertices)
     ambient = replace(lamp, strength=0.0).shade(normals)
     visible_shade = ambient * open_occlusion(occlusion) + lamp.shade(normals) - ambient
     full = _brightest(lamp) * _MAX_ALBEDO

@@ -24,6 +24,7 @@ from glsplat.extras.authoring.fit.eyes import read_eyes
 from glsplat.extras.authoring.fit.face import face_turn
 from glsplat.extras.authoring.fit.view import View
 from glsplat.extras.authoring.light.captured_light import captured_light, with_captured_light
+from glsplat.extras.authoring.light.surfaces import ambient_occlusion
 from glsplat.extras.authoring.networks.face import EyeLook
 from glsplat.extras.authoring.networks.people import DetectedPerson, find_person
 from glsplat.extras.authoring.networks.person import LANDMARKS
@@ -38,7 +39,7 @@ from glsplat.extras.authoring.reconstruct.reconstructor import FittedBody, MadeA
 from glsplat.extras.authoring.sample.scatter import even_points, scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair, haired
 from glsplat.extras.authoring.templates.hair_mask import seen_hair
-from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
+from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, hair_splats, with_template_hair
 from glsplat.extras.authoring.templates.head_view import head_view
 from glsplat.extras.authoring.templates.library import HAIR, hand_skin, template
 from glsplat.meshes import RiggedMesh
@@ -67,6 +68,8 @@ class Builtin:
         """Return the avatar with the fit and the mesh it was made from."""
         loaded = None if options.keep_light else run_in_background(load_compiled)  # fitting leaves a core idle
         body, fit, bald, looks, parts = _fitted(pictures, masks, options)
+        dressed, posed = bald[0].mesh, bald[0].view.vertices
+        occlusion = None if options.keep_light else run_in_background(lambda: ambient_occlusion(dressed, posed))
         hair, worn = None, f"painted, a template needs {_MIN_SPLATS_WITH_HAIR} splats"
         if options.splats >= _MIN_SPLATS_WITH_HAIR:
             hair, worn = _template_hair(body, fit, bald[0], parts)
@@ -84,16 +87,20 @@ class Builtin:
             covered = np.pad(covered, (0, len(whole.vertices) - len(covered)))
         scattered = scatter(whole, options.splats - (FACE_SPLATS if face else 0), rng, covered, elsewhere)
         own = scattered.points.take(scattered.points.corners[:, 0] < len(mesh.vertices))  # middles lose thin stripes
-        painter = painter_of(body, shots, own, looks, shod, hand_skin(), None if hair is None else haired(hair))
-        captured = None if options.keep_light else run_in_background(lambda: captured_light(mesh, shots, painter.light))
+        bare = None if hair is None else haired(hair)
+        painter = painter_of(body, shots, own, looks, shod, hand_skin(), bare)
+        locks = None if hair is None else run_in_background(lambda: hair_splats(hair, painter.light, options.seed))
+        captured = None
+        if occlusion is not None:
+            captured = run_in_background(lambda: captured_light(mesh, shots, occlusion(), painter.light))
         painted = painter.paint(scattered.points)
         options.progress("placing splats", 0.0)
         avatar = scattered.avatar(face().mesh if face else whole, painted.rgb, painted.detail, rng, painted.guessed)
         unseen = float(np.average(painted.visibility < MIN_TRUST, weights=1 / scattered.density))
         options.progress("placing splats", 1.0)
         avatar = fitted_to_photos(avatar, whole, painter.colours, shots, options.seed, options.steps, options.progress)
-        if hair is not None:
-            avatar = with_template_hair(avatar, hair, painter.light, rng)
+        if hair is not None and locks is not None:
+            avatar = with_template_hair(avatar, hair, locks())
         photographed = len(avatar.splats)
         if face:
             options.progress("giving it a face", 0.0)

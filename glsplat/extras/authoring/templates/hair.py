@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from glsplat.extras.authoring.compute.threads import map_threads
 from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
 from glsplat.extras.authoring.paint.head import ears_of, vertices_of
@@ -80,11 +81,8 @@ def fit_hair(head: HeadView, seen: SeenHair, names: tuple[str, ...]) -> FittedHa
     own = [name for name in _BY_LENGTH[length] if name in names]
     if "afro01" in own and _volume(head, seen) < _AFRO_RATIO:
         own.remove("afro01")
-    fitted = [
-        _fitted(head, seen, name, mirrored, length == "long")
-        for name in own
-        for mirrored in ((False, True) if name in _ONE_SIDED else (False,))
-    ]
+    trials = [(name, mirrored) for name in own for mirrored in ((False, True) if name in _ONE_SIDED else (False,))]
+    fitted = map_threads(lambda trial: _fitted(head, seen, *trial, length == "long"), trials)
     return max(fitted, key=lambda hair: hair.agreement + (hair.name == "braid01") * _BRAID_PREFERENCE, default=None)
 
 

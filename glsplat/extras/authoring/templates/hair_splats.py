@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -51,10 +52,18 @@ _BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
-def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.random.Generator) -> Avatar:
-    """Return the painted ``avatar`` with splats of the hair, whose unseen sides are lit by ``light``."""
+class HairSplats(NamedTuple):
+    """The splats of a template, and the M points that they were made of."""
+
+    avatar: Avatar
+    points: F64  # [M, 3] in the zero pose, metres
+    colour: F64  # [3] linear, the median of the picture's hair
+
+
+def hair_splats(hair: FittedHair, light: Lamp, seed: int) -> HairSplats:
+    """Return the splats of the hair, whose unseen sides are lit by ``light``."""
     head, seen, mesh = hair.head, hair.seen, hair.mesh
-    shot = head.shot
+    shot, rng = head.shot, np.random.default_rng(seed)
     spots, face, rgba = scattered(mesh, HAIR_SPLATS * _POINTS_PER_SPLAT, rng)
     points = spots.at(mesh.vertices)
     stays = carved(head, seen, points)
@@ -86,7 +95,12 @@ def with_template_hair(avatar: Avatar, hair: FittedHair, light: Lamp, rng: np.ra
     corners = spots.matrix(len(mesh.vertices))
     cloud = Cloud(points, normals, rgb, even, even, 0 * even, corners, skin_of(mesh), area, face)
     made = avatar_of([tessellate(cloud, HAIR_SPLATS, _SAMPLER, rng)], mesh, _SAMPLER.opacity)
-    return merge_avatars(_with_scalp(avatar, hair, points, np.median(own, axis=0)), made)
+    return HairSplats(made, points, np.median(own, axis=0))
+
+
+def with_template_hair(avatar: Avatar, hair: FittedHair, made: HairSplats) -> Avatar:
+    """Return the painted ``avatar`` with the splats ``made`` of its hair."""
+    return merge_avatars(_with_scalp(avatar, hair, made.points, made.colour), made.avatar)
 
 
 def covered_by_hair(hair: FittedHair) -> Bools:

@@ -15,7 +15,12 @@ from glsplat.extras.authoring.paint.head import back_of_head, ears_of, vertices_
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair, haired
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
-from glsplat.extras.authoring.templates.hair_splats import HAIR_SPLATS, covered_by_hair, with_template_hair
+from glsplat.extras.authoring.templates.hair_splats import (
+    HAIR_SPLATS,
+    covered_by_hair,
+    hair_splats,
+    with_template_hair,
+)
 from glsplat.extras.authoring.templates.head_view import HeadView, head_view, value_at
 from glsplat.extras.authoring.templates.library import HAIR, template
 from glsplat.skinning.smplx import JOINT_NAMES
@@ -190,7 +195,7 @@ def test_ears_and_a_neck_below_the_hair_stay_skin_and_the_skull_under_it_does_no
     body, rng = hair.head.body, np.random.default_rng(0)
     even = scatter(scene.mesh, 24_000, rng)
     bare = even.avatar(scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), rng)
-    splats = with_template_hair(bare, hair, scene.light, rng).splats
+    splats = with_template_hair(bare, hair, hair_splats(hair, scene.light, 0)).splats
     skin = splats.sh[: len(bare.splats), 0, 0] * SH_C0 + 0.5 > 0.55
     near = cKDTree(scene.mesh.vertices).query(bare.splats.means)[1]
     end = splats.means[len(bare.splats) :, 1].min()
@@ -269,7 +274,7 @@ def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
     bare = scattered.avatar(
         scene.mesh, np.full((len(scattered.density), 3), 0.6), np.zeros(len(scattered.density)), rng
     )
-    made = with_template_hair(bare, hair, scene.light, rng)
+    made = with_template_hair(bare, hair, hair_splats(hair, scene.light, 0))
     grown = made.splats.means[len(bare.splats) :]
     assert 0.99 * HAIR_SPLATS < len(grown) <= HAIR_SPLATS
     rgb = made.splats.sh[len(bare.splats) :, 0] * SH_C0 + 0.5
@@ -295,7 +300,7 @@ def test_locks_have_the_contrast_of_the_pictures_locks_not_of_its_light() -> Non
         drawn = replace(hair, head=replace(hair.head, shot=replace(shot, rgb=rgb)))
         even = scatter(scene.mesh, 4000, rng)
         bare = even.avatar(scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), rng)
-        splats = with_template_hair(bare, drawn, scene.light, rng).splats
+        splats = with_template_hair(bare, drawn, hair_splats(drawn, scene.light, 0)).splats
         behind = np.arange(len(splats)) >= len(bare.splats)
         behind &= splats.means[:, 2] < hair.head.middle[2] - 0.03
         grey = splats.sh[behind, 0, 0] * SH_C0 + 0.5

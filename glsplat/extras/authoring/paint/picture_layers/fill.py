@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,22 +25,32 @@ def disc(radius: int) -> NDArray[np.uint8]:
 
 def nearest_known(known: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return [H, W] row and column of the nearest ``known`` pixel; each pixel's own if none is known."""
-    label, rows, columns = nearest_known_labels(known)
+    label, rows, columns, _ = nearest_known_labels(known)
     return rows[label], columns[label]
 
 
-def nearest_known_labels(known: Mask) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.intp]]:
-    """Return [H, W] the label of the nearest ``known`` pixel, and [N] row and column of each label."""
+class NearestKnown(NamedTuple):
+    """The nearest known pixel of each pixel of a picture."""
+
+    label: NDArray[np.int32]  # [H, W]
+    row: NDArray[np.intp]  # [N] of each label
+    column: NDArray[np.intp]  # [N]
+    distance: NDArray[np.float32]  # [H, W] pixels, within some percent
+
+
+def nearest_known_labels(known: Mask) -> NearestKnown:
+    """Return the nearest ``known`` pixel of each pixel [H, W]; its own if none is known."""
     if not known.any():
         row, column = np.indices(known.shape)
-        return np.arange(known.size, dtype=np.int32).reshape(known.shape), row.ravel(), column.ravel()
-    _, label = cv2.distanceTransformWithLabels(
+        label = np.arange(known.size, dtype=np.int32).reshape(known.shape)
+        return NearestKnown(label, row.ravel(), column.ravel(), np.zeros(known.shape, np.float32))
+    distance, label = cv2.distanceTransformWithLabels(
         (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     rows, columns = np.nonzero(known)
     source = np.zeros((2, int(label.max()) + 1), np.intp)
     source[:, label[rows, columns]] = rows, columns
-    return np.asarray(label, np.int32), source[0], source[1]
+    return NearestKnown(np.asarray(label, np.int32), source[0], source[1], np.asarray(distance, np.float32))
 
 
 def fill_hole(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
@@ -71,7 +83,7 @@ def fill_hole(picture: Picture, known: Mask, hole: Mask, height: float) -> Pictu
 
 def _grain(picture: Picture, known: Mask, hole: Mask, height: float) -> Picture:
     """Return [K, 1] the relative brightness of the places mirrored at the edge of the known pixels."""
-    label, row, column = nearest_known_labels(known)
+    label, row, column, _ = nearest_known_labels(known)
     nearest, (rows, columns) = label[hole], np.nonzero(hole)
     mirrored = 2 * row[nearest] - rows, 2 * column[nearest] - columns
     rows_in_all, width = known.shape

@@ -136,30 +136,29 @@ class PictureLayers:
             return [self._layer_of(inner, np.ones(self.mask.shape, np.float32))]
 
         def extract(number: int) -> Layer:
+            depth = cv2.resize(self.depths[number], inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            covered = np.isfinite(depth)
             other = self.mask & (self.label != number) if number == 0 else self.label != number
             near = disc(max(1, round(_ARM_RIM_FRACTIONS[min(number, 1)] * self.height)))
             own = inner & ~(cv2.dilate(other.astype(np.uint8), near) > 0)
             known = cv2.GaussianBlur(own.astype(np.float32), (0, 0), _EDGE_SIGMA_PX)
             layer = self._layer_of(own if own.sum() > _MIN_LAYER_PX else inner, known)
             if number == 0:
-                hole = self.label != 0
+                used = cv2.dilate((covered | self.mask).astype(np.uint8), disc(2 * COARSE)) > 0
+                hole = (self.label != 0) & used
                 layer = replace(layer, picture=np.minimum(layer.picture * self._shadow_gain[..., None], 1))
                 filled = fill_hole(layer.picture, inner & ~hole & (layer.known > _MIN_KNOWN), hole, self.height)
                 layer = replace(layer, picture=filled, far=np.zeros_like(layer.far))
-            covered = cv2.resize(self.depths[number], inner.shape[::-1], interpolation=cv2.INTER_NEAREST)
             known = inner & (layer.known > _MIN_KNOWN)
-            picture = continue_cloth(layer.picture, known, np.isfinite(covered), self.label, number)
+            picture = continue_cloth(layer.picture, known, covered, self.label, number)
             carried = np.where((picture == layer.picture).all(axis=2), layer.far, np.float32(0))
             return replace(layer, picture=picture, far=carried)
 
         return map_threads(extract, range(LAYER_COUNT))
 
     def _layer_of(self, own: NDArray[np.bool_], known: NDArray[np.float32]) -> Layer:
-        nearest, row, column = nearest_known_labels(own)
-        picture = linear_light(self.rgb[row, column])[nearest]
-        pixel = np.indices(own.shape, np.int32)
-        far = np.hypot(row[nearest] - pixel[0], column[nearest] - pixel[1]).astype(np.float32)
-        return Layer(picture, known, far)
+        nearest, row, column, far = nearest_known_labels(own)
+        return Layer(linear_light(self.rgb[row, column])[nearest], known, far)
 
     @locked_cached_property
     def depths(self) -> list[NDArray[np.float32]]:

@@ -113,7 +113,7 @@ def _fill_level(small: Picture, known: Mask, hole: Mask, rounds: int, height: fl
     for _ in range(rounds):
         padded[inner] = out
         wanted = _patches(padded, touched, offsets)
-        _, nearest = tree.query(np.hstack([np.round((wanted - mean) @ basis, _DIGITS), touched * place]))
+        _, nearest = tree.query(np.hstack([np.round((wanted - mean) @ basis, _DIGITS), touched * place]), workers=-1)
         source[touched[:, 0], touched[:, 1]] = at[nearest]
         difference = _align_with_neighbours(source, wanted, touched, whole, framed, offsets)
         usual = max(float(np.median(difference)) * _MATCH_FACTOR, 1e-4)
