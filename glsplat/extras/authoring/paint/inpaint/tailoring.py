@@ -23,6 +23,7 @@ F64 = NDArray[np.float64]
 
 # standard deviations in metres and depths of lines: a seam, and the edge and the stitches of a hem
 _SEAM, _EDGE, _STITCHES = (0.006, 0.5), (0.009, 0.6), (0.006, 0.2)
+_LEGS_SHADE = 0.02, 0.7  # the same, of the shade on cloth where a leg meets the other one
 _STITCHES_M = 0.026  # from the edge of a hem
 _ARMHOLE_M, _ARMPIT_M = 0.015, 0.11  # inside the shoulder joints, and below them; trousers' seam ends below the hips
 _MIN_SHIRT_M, _WAIST_M = 0.1, 0.16  # below the armpits, above the hips: highest and lowest hem of a shirt
@@ -61,12 +62,15 @@ class Tailoring:
 
         ``relief`` [M] is the ``relief_of`` the front at the same place, as a logarithm of brightness.
         """
-        share, where, lines = self.worn(points)
+        region, (share, where, lines) = self.cloth.region(points), self.worn(points)
         share *= points.at(self.behind[:, None])[:, 0]
         x, y, joints = np.abs(where[:, 0]), where[:, 1], self.mesh.skeleton.joints
         shoulder, hip = (joints[JOINT_NAMES.index(f"left_{name}")] for name in ("shoulder", "hip"))
         lines += _line(x - shoulder[0] + _ARMHOLE_M, *_SEAM) * (y > shoulder[1] - _ARMPIT_M)
         lines += _line(x, *_SEAM) * (y < self.waist) * (y > hip[1] - _ARMPIT_M) * self.trousers
+        # metres from the plane between the legs; wide legs of shorts reach beyond it
+        outside = np.select([region == number for number in LEGS], [where[:, 0], -where[:, 0]], np.inf).clip(0)
+        lines += _line(outside, *_LEGS_SHADE) * self.trousers
         return np.exp(share * (relief - lines)), share * ((lines + np.abs(relief)) / _FULL_LINE).clip(0, 1)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from glsplat.extras.authoring.paint.inpaint.cloth import LEGS, TRUNK
@@ -30,6 +32,30 @@ def test_hems_seams_and_wrinkles_are_on_the_cloth_of_the_back() -> None:
     wrinkled, fine = tailoring.at(points, np.full(len(points.corners), 0.1))
     assert np.abs(np.log(wrinkled / factor)[knees] - 0.1).max() < 0.01
     assert (wrinkled[worn == 0] == 1).all() and (fine[knees] > detail[knees]).all()
+
+
+def test_legs_that_touch_have_a_shade_between_them_and_skirts_have_none() -> None:
+    """As wide shorts: the legs reach 3 cm beyond the plane between them."""
+    scene = photographed("front")
+    points = even_points(scene.mesh, 30_000)
+    painter = painter_of(scene.body, scene.shots, points)
+    region = painter.cloth.region(points)
+    behind = points.directions(vertex_normals(scene.mesh.vertices, scene.mesh.faces))[:, 2] < -0.6
+    rest = scene.mesh.vertices.copy()
+    for number, sign in zip(LEGS, (1.0, -1.0), strict=True):
+        leg = painter.cloth.shares.argmax(axis=1) == number
+        rest[leg, 0] -= sign * ((sign * rest[leg, 0]).min() + 0.03)
+    tailoring = replace(painter.tailoring, mesh=replace(scene.mesh, vertices=rest))
+    worn, where, lines = tailoring.worn(points)
+    cloth = behind & (worn == 1) & (lines < 0.01) & np.isin(region, LEGS)
+    inner = np.where(region == LEGS[0], where[:, 0], -where[:, 0])
+    relief = np.zeros(len(where))
+    factor, skirt = (each.at(points, relief)[0] for each in (tailoring, replace(tailoring, trousers=False)))
+    near = cloth & (inner < 0.015)
+    assert near.sum() > 20 and factor[near].max() < 0.8
+    far = cloth & (inner > 0.08)
+    assert far.sum() > 200 and factor[far].min() > 0.98
+    assert skirt[cloth].min() > 0.98
 
 
 def test_a_front_s_wrinkles_are_on_the_back_and_its_print_is_not() -> None:
