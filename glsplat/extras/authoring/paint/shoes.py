@@ -49,7 +49,7 @@ _MAX_SEEN = 700
 _NEAR_M, _ROW_M, _LENGTH_M = 0.015, 0.012, 0.05  # standard deviations of colours around a point, and on the other side
 _ROW_WEIGHT, _USUAL_WEIGHT = 0.03, 0.01  # of colours of the same height and length, and of the usual one
 _TONES, _TONE_SHARPNESS = 4, 3
-_CONTRAST_RANGE = 0.6, 1.0  # of the template's seams, over those in its texture
+_CONTRAST_RANGE = 0.2, 1.0  # of the template's seams, over those in its texture
 _FULL_SEAM, _SEAM_DETAIL = 0.3, 0.6  # of the logarithm of brightness; detail of such seams where no picture looks
 
 
@@ -174,9 +174,14 @@ def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh)
         weight, some = _nearness(rest[mine], place[of])
         smooth[mine] = weight @ log[of][some] / np.maximum(weight.sum(axis=1), 1e-9)
     seam = log - sites.at(smooth[:, None])[:, 0]
-    spread = float(np.log(plain[sure].sum(axis=1) + 0.01).std()) if sure.any() else 0.0
-    contrast = np.clip(spread / max(float(seam.std()), 1e-3), *_CONTRAST_RANGE)
+    seen = np.log((plain[sure].sum(axis=1) + 0.01) / (sites.at(colour)[sure].sum(axis=1) + 0.01))
+    contrast = np.clip(_spread(seen) / max(_spread(seam), 1e-3), *_CONTRAST_RANGE)
     return replace(painter, colour=colour, seams=(cKDTree(place), np.exp(contrast * seam).clip(0.4, 1.8)))
+
+
+def _spread(values: F64) -> float:
+    """Return the median distance of values from their median: a few laces in other colours do not count."""
+    return float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def _gaps_below(shot: FittedPicture, pixels: F64, rest: F64, first: int) -> F64:

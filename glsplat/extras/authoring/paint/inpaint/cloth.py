@@ -207,7 +207,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         taken = np.flatnonzero(weight > 0)
         at = np.abs(where[taken, 0]) if axis == 0 else where[taken, 1]
         ends = float(along.min()), float(along.max())
-        these = rows_of(axis, ends, at, look[taken], weight[taken], _ROW_REACH_M)
+        these = rows_of(axis, ends, at, look[taken], weight[taken], _ROW_REACH_M, number in LEGS)
         if these is None:
             return None
         x, y = where[taken, 0], where[taken, 1]

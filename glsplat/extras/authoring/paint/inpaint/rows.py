@@ -60,10 +60,13 @@ class Rows:
         return np.round((along - self.first) / ROW_M).astype(np.intp).clip(0, len(self.colour) - 1)
 
 
-def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float) -> Rows | None:
+def rows_of(
+    axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F64, reach: float, thin: bool = False
+) -> Rows | None:
     """Return the rows between ``ends`` (metres) from samples ``at`` [K] metres; None if none has enough of them.
 
-    A row takes samples within ``reach`` metres. Rows with few samples take the colours around them.
+    A row takes samples within ``reach`` metres. Rows with few samples take the colours around them, but those of a
+    limb that gets ``thin``, as an ankle, may have fewer than others.
     """
     count = max(2, int(np.ceil((ends[1] - ends[0]) / ROW_M)) + 1)
     order = np.argsort(at, kind="stable")
@@ -75,7 +78,7 @@ def rows_of(axis: int, ends: tuple[float, float], at: F64, look: F64, weight: F6
     enough = seen >= MIN_ROW_WEIGHT
     if not enough.any():
         return None
-    known = enough & (seen >= _MIN_ROW_FRACTION * np.median(seen[enough]))
+    known = enough & (thin | (seen >= _MIN_ROW_FRACTION * np.median(seen[enough])))
     colour, tolerance = np.zeros((count, 3)), np.zeros(count)
     for row in np.flatnonzero(known):
         some = slice(first[row], last[row])
