@@ -50,6 +50,7 @@ _NEAR_M, _ROW_M, _LENGTH_M = 0.015, 0.012, 0.05  # standard deviations of colour
 _ROW_WEIGHT, _USUAL_WEIGHT = 0.03, 0.01  # of colours of the same height and length, and of the usual one
 _TONES, _TONE_SHARPNESS = 4, 3
 _CONTRAST_RANGE = 0.2, 1.0  # of the template's seams, over those in its texture
+_FLOOR_DISTANCE, _MAX_FLOOR = 0.1, 0.1  # from the background, square roots of linear light; fraction of seen shoes
 _FULL_SEAM, _SEAM_DETAIL = 0.3, 0.6  # of the logarithm of brightness; detail of such seams where no picture looks
 
 
@@ -117,6 +118,7 @@ class ShoePainter:
     colour: F64  # [V, 3] linear, unlit
     lower: F64  # [V] pixels by which the picture shows shoes below the fitted ones, as of heels
     seams: tuple[cKDTree, F64]  # points of the shoes at rest, and the factors [K] of their brightness
+    usual: F64  # [3] median colour, square roots of linear light; NaN where the picture's floor is not told apart
 
     def paint(self, points: SurfacePoints) -> tuple[F64, F64, F64]:
         """Return [M, 3] sRGB colours, [M] visibility and [M] detail of points on the shoes."""
@@ -137,7 +139,16 @@ class ShoePainter:
         near = where[:, 2] < _pixel(self.depth, pixels, self.depth.shape[0] / self.inner.shape[0]) + _DEPTH_TOLERANCE_M
         pixels[:, 1] += points.at(self.lower[:, None])[:, 0]
         visibility = smoothstep(facing, *_VISIBILITY_COSINES) * near * _pixel(self.inner, pixels, 1.0)
-        return self.shot.sample(pixels), visibility, self.light.shade(normals)
+        linear = self.shot.sample(pixels)
+        visibility *= ~self.floor(points, pixels, linear)
+        return linear, visibility, self.light.shade(normals)
+
+    def floor(self, points: SurfacePoints, pixels: F64, linear: F64) -> NDArray[np.bool_]:
+        """Return [M] which points above the sole have the background's colour rather than the shoes' usual one."""
+        look = np.sqrt(np.maximum(linear, 0))
+        away = lengths(look - np.sqrt(self.shot.background(pixels)))
+        other = (away < _FLOOR_DISTANCE) & (away < lengths(look - self.usual) / 2)
+        return np.asarray(other & (points.at(self.rest)[:, 1] > _SOLE_TOP_M))
 
 
 def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh) -> ShoePainter:
@@ -159,8 +170,14 @@ def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh)
     rest = mesh.vertices
     lower = _gaps_below(shot, shot.project(where), rest, len(view.vertices))
     seams = cKDTree(rest[:1]), np.ones(1)
-    painter = ShoePainter(shot, light, where, normals, depth, inner, rest, nothing, lower, seams)
+    unknown = np.full(3, np.nan)
+    painter = ShoePainter(shot, light, where, normals, depth, inner, rest, nothing, lower, seams, unknown)
     linear, visibility, shade = painter.sample(sites)
+    if (visibility > 0.5).any():
+        told = replace(painter, usual=np.median(np.sqrt(np.maximum(linear[visibility > 0.5], 0)), axis=0))
+        sure = told.sample(sites)[1]
+        if (sure > 0.5).sum() > (1 - _MAX_FLOOR) * (visibility > 0.5).sum():  # more is a part of the shoes
+            painter, visibility = told, sure
     plain, place = linear / shade[:, None], sites.at(rest)
     log = np.log(to_linear(shoes.sample(uv)[:, :3]) @ (0.2126, 0.7152, 0.0722) + 0.004)
     sure = (visibility > 0.5) & (place[:, 1] < _RIM_M)

@@ -10,6 +10,7 @@ import pytest
 from glsplat.extras.authoring.body.open_body import open_body
 from glsplat.extras.authoring.dress.shoes import feet_vertices, with_shoes
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints, triangle_areas
+from glsplat.extras.authoring.paint import shoes as paint_shoes
 from glsplat.extras.authoring.paint.shoes import footwear_of, shoe_painter
 from glsplat.extras.authoring.sample.scatter import scatter
 from glsplat.extras.authoring.templates.library import template
@@ -63,6 +64,32 @@ def test_shoes_stand_on_the_floor_in_place_of_feet_and_have_their_colour(
     assert 0.05 < (visibility > 0.5).mean() < 0.6
     blue = to_linear(rgb[visibility == 0])
     assert (blue[:, 2] > 3 * blue[:, 0]).mean() > 0.98
+
+
+def test_plain_light_shoes_get_no_stripes_from_their_template(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = in_shoes(np.array([0.6, 0.6, 0.6]), monkeypatch)
+    floor = scene.fit.joints[0] - scene.mesh.skeleton.joints[0]
+    shod = with_shoes(scene.body, scene.body.shaped(scene.fit.betas)[0] - floor, scene.mesh, template("shoes02"))
+    factors = shoe_painter(scene.body, scene.shots[0], scene.light, shod).seams[1]
+    assert 0.05 < np.log(factors).std() < 0.2
+
+
+def test_a_strip_of_floor_is_not_painted_on_shoes(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = in_shoes(np.array([0.6, 0.3, 0.3]), monkeypatch)
+    body, shot, floor = scene.body, scene.shots[0], scene.fit.joints[0] - scene.mesh.skeleton.joints[0]
+    shod = with_shoes(body, body.shaped(scene.fit.betas)[0] - floor, scene.mesh, template("shoes01"))
+    toe = feet_vertices(body, "left") & (shot.visibility > 0.5) & (scene.mesh.vertices[:, 1] > 0.03)
+    x, y = shot.view.pixels[toe].astype(int).T
+    rgb, room = shot.rgb.copy(), np.median(shot.rgb[~shot.mask], axis=0)
+    rgb[y.min() : y.max(), int(np.median(x)) : int(np.median(x)) + max(2, np.ptp(x) // 6)] = room
+    faces = shod.parts[-1].faces
+    points = SurfacePoints(faces.astype(np.intp), np.full((len(faces), 3), 1 / 3))
+    upper, found = points.at(shod.vertices)[:, 1] > 0.025, []
+    for most in (0.0, 0.1):
+        monkeypatch.setattr(paint_shoes, "_MAX_FLOOR", most)
+        painted = shoe_painter(body, replace(shot, rgb=rgb), scene.light, shod).paint(points)[0]
+        found.append((np.linalg.norm(painted[upper] - room / 255, axis=1) < 0.1).sum())
+    assert found[0] > 20 and found[1] <= 2, found
 
 
 def test_trousers_narrow_into_shoes_but_wide_hems_hang_over_them() -> None:
