@@ -46,7 +46,8 @@ _ROW_M = 0.005
 _MIN_EXTENT_M = 0.03  # aside, for a width to be compared
 _STRETCH = 0.75, 1.5  # of widths and heights
 _DEEPER = 0.95, 1.2  # of depths
-_BEHIND_SHOULDERS_M = 0.12  # that long hair goes on where the front loses it
+_BEHIND_SHOULDERS_M, _FREE_M = 0.12, 0.03  # that hair goes on where shoulders hide it, and where it ends above them
+_REACHES_SHOULDERS_M = 0.02  # below the chin, on the picture's vertical
 _MAX_LOCK_M = 0.03  # from that end
 _FRONT_PLAY_M = 0.006  # hair so far behind the bare body still counts as visible
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
@@ -65,6 +66,7 @@ class FittedHair:
     name: str
     agreement: float  # above the chin, overlap of the template and the seen hair over their union
     long: bool
+    end: float  # height in the head's plane down to which it hangs on a back
     head: HeadView
     seen: SeenHair
     mesh: RiggedMesh  # in the zero pose, bound to head, neck and back
@@ -117,11 +119,12 @@ def _fitted(head: HeadView, seen: SeenHair, name: str, mirrored: bool, long: boo
     where = _outside(head, _with_outline(head, seen, where, long))
     joints, weights = _binding(head, where)
     (part,) = own.parts
-    reached = head.plane_of(where)[:, 1] > _hair_end(seen) - _MAX_LOCK_M
+    end = _hair_end(head, seen, long)
+    reached = head.plane_of(where)[:, 1] > end - _MAX_LOCK_M
     rows = np.flatnonzero(reached[part.faces].any(axis=1))
     part = replace(part, faces=part.faces[rows], uv=part.uv[rows])
     mesh = RiggedMesh(where, head.shot.mesh.skeleton, joints, weights, (part,))
-    return FittedHair(name, round(_agreement(head, seen, mesh), 3), long, head, seen, mesh)
+    return FittedHair(name, round(_agreement(head, seen, mesh), 3), long, end, head, seen, mesh)
 
 
 def _agreement(head: HeadView, seen: SeenHair, mesh: RiggedMesh) -> float:
@@ -160,26 +163,27 @@ def scattered(mesh: RiggedMesh, count: int, rng: np.random.Generator) -> tuple[S
     return SurfacePoints(part.faces[face].astype(np.intp), share), face, rgba
 
 
-def carved(head: HeadView, seen: SeenHair, points: F64) -> Bools:
+def carved(hair: FittedHair, points: F64) -> Bools:
     """Return [M] which ``points`` [M, 3] of the zero pose the picture does not contradict.
 
-    Points before skin or clothes that the picture shows go, so do those outside its outline and above a hat's rim.
-    Long hair ends where the seen hair does, or a hand's breadth lower, where it goes behind the shoulders.
+    Points before skin or clothes that the picture shows go, so do those outside its outline, above a hat's rim, and
+    below the end of ``hair``.
     """
+    head, seen = hair.head, hair.seen
     there = head.camera(points)
     pixels = head.shot.project(there)
     flat = head.plane(pixels)
     inside = value_at(_grown(head, head.shot.mask, _OUTLINE_PLAY_M), pixels)
-    hair = value_at(_grown(head, seen.mask, _HAIR_PLAY_M), pixels)
+    on_hair = value_at(_grown(head, seen.mask, _HAIR_PLAY_M), pixels)
     behind = head.body_z(pixels)
     beside = cv2.morphologyEx(seen.mask.astype(np.uint8), cv2.MORPH_CLOSE, _square(head, _GAP_M)) > 0
-    hair |= value_at(beside, pixels) & np.isinf(behind)  # gaps in it, but none before the face
+    on_hair |= value_at(beside, pixels) & np.isinf(behind)  # gaps in it, but none before the face
     front = there[:, 2] < behind + _FRONT_PLAY_M
     facing = (there[:, 2] < head.camera_z + 0.02) & (flat[:, 1] > head.sizes.chin - 0.02)
     locks = (
         0.012 * np.sin(points[:, 0] * 210) + 0.009 * np.sin(points[:, 0] * 530 + 1) + 0.01 * np.sin(points[:, 2] * 300)
     )
-    stays = inside & (hair | ~(front | facing)) & (flat[:, 1] > _hair_end(seen) + locks)
+    stays = inside & (on_hair | ~(front | facing)) & (flat[:, 1] > hair.end + locks)
     if seen.hat is not None:
         stays &= flat[:, 1] < seen.hat
     return stays
@@ -220,9 +224,17 @@ def haired(hair: FittedHair) -> Bools:
     return out
 
 
-def _hair_end(seen: SeenHair) -> float:
-    """Return the height in the head's plane down to which hair hangs on a back."""
-    return float(np.quantile(seen.plane[:, 1], 0.01)) - _BEHIND_SHOULDERS_M
+def _hair_end(head: HeadView, seen: SeenHair, long: bool) -> float:
+    """Return the height in the head's plane down to which hair hangs on a back.
+
+    Shoulders hide the end of ``long`` hair, unless it ends at the chin's height: it hangs down, also from a tilted
+    head. The neck hides that of other hair.
+    """
+    hidden = 1.0
+    if long:
+        low = np.quantile(seen.plane @ -head.up, 0.02)
+        hidden = float(smoothstep(-head.sizes.chin * head.up[1] - low, 0.0, _REACHES_SHOULDERS_M))
+    return float(np.quantile(seen.plane[:, 1], 0.01)) - _FREE_M - hidden * (_BEHIND_SHOULDERS_M - _FREE_M)
 
 
 def _grown(head: HeadView, mask: Bools, metres: float) -> Bools:

@@ -66,7 +66,7 @@ def hair_splats(hair: FittedHair, light: Lamp, seed: int) -> HairSplats:
     shot, rng = head.shot, np.random.default_rng(seed)
     spots, face, rgba = scattered(mesh, HAIR_SPLATS * _POINTS_PER_SPLAT, rng)
     points = spots.at(mesh.vertices)
-    stays = carved(head, seen, points)
+    stays = carved(hair, points)
     share = np.bincount(face, stays) / np.maximum(np.bincount(face), 1)
     stays &= share[face] > _MIN_FACE_FRACTION  # what is left of a carved lock would be dots
     keep = np.flatnonzero(stays & (rgba[:, 3] > MIN_ALPHA))
@@ -107,7 +107,7 @@ def covered_by_hair(hair: FittedHair) -> Bools:
     """Return a mask [V] of the body's vertices under the template that the picture does not show as a face."""
     head = hair.head
     points = scattered(hair.mesh, HAIR_SPLATS, np.random.default_rng(0))[0].at(hair.mesh.vertices)
-    points = points[carved(head, hair.seen, points)]
+    points = points[carved(hair, points)]
     under = np.zeros(len(head.bare), bool)
     under[head.skull] = cKDTree(points).query(head.bare[head.skull])[0] < _SCALP_REACH_M
     under &= ~np.any(ears_of(head.body), axis=0)  # few splats would blur them

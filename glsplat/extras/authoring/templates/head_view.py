@@ -50,6 +50,11 @@ class HeadView:
         """Pixels a metre at the head."""
         return self.shot.focal / self.camera_z
 
+    @property
+    def up(self) -> F64:
+        """Unit vector [2] from the head's middle upwards in the picture, x to the right and y down."""
+        return np.asarray(self.rotation[:2, 1] / np.linalg.norm(self.rotation[:2, 1]))
+
     @locked_cached_property
     def sizes(self) -> HeadSizes:
         """Heights and width of the bare head."""
@@ -69,7 +74,7 @@ class HeadView:
 
     def plane(self, pixels: F64) -> F64:
         """Return metres [..., 2] aside and up in the picture's plane, of pixels [..., 2]."""
-        up = self.rotation[:2, 1] / np.linalg.norm(self.rotation[:2, 1])
+        up = self.up
         away = (pixels - self.shot.project(self.camera(self.middle[None]))[0]) / self.scale
         return np.stack([away @ np.array([-up[1], up[0]]), away @ up], axis=-1)
 

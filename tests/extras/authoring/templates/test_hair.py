@@ -13,7 +13,7 @@ from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
 from glsplat.extras.authoring.paint.head import back_of_head, ears_of, vertices_of
 from glsplat.extras.authoring.sample.scatter import scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, fit_hair, haired
+from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, carved, fit_hair, haired
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import (
     HAIR_SPLATS,
@@ -261,6 +261,23 @@ def test_long_hair_follows_the_head_above_and_the_back_below() -> None:
     order = np.argsort(height)
     steps = np.abs(np.diff(of_head[order])) / np.maximum(np.diff(height[order]), 0.002)
     assert steps.max() < 15  # a metre: nothing tears
+
+
+def test_long_hair_of_a_tilted_head_ends_where_it_is_seen_to_end_above_the_shoulders() -> None:
+    head, seen = pictured("long01")[0], fitted("long01")[0]
+    lock = (seen.plane[:, 0] > 0.07) & (seen.plane[:, 1] > head.sizes.chin - 0.05)
+    seen = replace(seen, plane=seen.plane[lock | (seen.plane[:, 1] > head.sizes.eyes)])
+    low = np.quantile(seen.plane[:, 1], 0.01)
+    hidden = []
+    for angle in (0.0, -0.5):
+        rotation = cv2.Rodrigues(np.array([0.0, 0.0, angle]))[0] @ head.rotation
+        tilted = replace(head, rotation=rotation, offset=head.camera(head.middle[None])[0] - rotation @ head.middle)
+        hair = fit_hair(tilted, seen, ("long01",))
+        assert hair is not None and hair.long
+        hidden.append(low - hair.end)
+        points = hair.mesh.vertices[carved(hair, hair.mesh.vertices)]
+        assert hair.head.plane_of(points)[:, 1].min() > hair.end - 0.032
+    assert abs(hidden[0] - 0.12) < 0.001 and abs(hidden[1] - 0.03) < 0.01
 
 
 def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
