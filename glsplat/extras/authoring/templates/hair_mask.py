@@ -31,6 +31,7 @@ _OUTSIDE_BONUS = 8.0  # in CIELAB; what stands out beside the bare head is proba
 _SAME_AS_CLOTH = 12.0  # hair on cloth of its colour ends at the shoulders
 _NEVER_HAIR = (HeadPart.BACKGROUND, HeadPart.LEFT_EAR, HeadPart.RIGHT_EAR, HeadPart.CLOTH, HeadPart.HAT)
 _MIN_PIXELS = 60  # of a lock
+_BROWS_M = 0.03  # above the eyes
 # of the pixels above the eyes: those labelled room or cloth, at most; a hat's and hair's, at least
 _MAX_UNKNOWN, _MIN_HAT_FRACTION, _MIN_HAIR_FRACTION = 0.25, 0.2, 0.08
 _BESIDE_HEADS = 1.3  # of the head's height, to both sides, that is searched
@@ -168,7 +169,9 @@ def _labelled_hair(
     found |= near & (parts == HeadPart.CLOTH) & (like < _SURE_LIKE) & beside
     face = (parts == HeadPart.SKIN) & beard & (up > sizes.chin)
     skin = np.median(look[face], axis=0) if face.any() else hair
-    if _apart(skin, hair) > _MIN_UNLIKE_SKIN:  # sleek hair is labelled as a forehead or as glasses
+    high = sure & scalp & (up > sizes.eyes + _BROWS_M)  # a cheek in shade is labelled as hair, and no forehead is
+    top = np.median(look[high], axis=0) if high.any() else hair
+    if min(_apart(skin, hair), _apart(skin, top)) > _MIN_UNLIKE_SKIN:  # sleek hair is labelled as forehead or glasses
         other = away(_shaded(skin, (*_SHADES, 1.3)))
         found |= near & (up > sizes.eyes - 0.03) & ~np.isin(parts, _NEVER_HAIR) & (like < np.minimum(0.85 * other, 26))
     for cloth, _ in main:

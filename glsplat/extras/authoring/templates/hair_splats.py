@@ -49,6 +49,7 @@ _NEAR_POINTS = 24  # the nearest of HAIR_SPLATS points of the hair, whose mean i
 _MAX_OFF_CENTRE_RAD = 0.03  # from a splat to the mean of these, seen from the middle of the head
 _MIN_VISIBILITY = 0.15
 _BRIGHTEST_QUANTILE = 0.95  # of the picture's hair
+_HARD_LIGHT_RATIO = 8.0  # of a head's lit half to the other in linear light
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -78,7 +79,7 @@ def hair_splats(hair: FittedHair, light: Lamp, seed: int) -> HairSplats:
     outwards = points - head.middle
     outwards[:, 1] = outwards[:, 1].clip(0, None)
     normals *= np.where(component_sums(normals * outwards) < 0, -1.0, 1.0)[:, None]
-    own = to_linear(shot.rgb[seen.mask] / 255)
+    own = _lit(head, seen.mask)
     guess = _coloured(rgba[:, :3], own, _contrast(head, seen.mask), points)
     there = head.camera(points)
     trust = _trust(head, seen.mask, there, unit_vectors(outwards) @ head.rotation.T)
@@ -122,6 +123,22 @@ def _drawn_back(head: HeadView, points: F64) -> F64:
     gap = np.where(np.isfinite(behind), behind, 0) - there[:, 2]
     some = (gap > _FLOATING_M) & (gap < _MAX_FLOATING_M) & (head.plane(pixels)[:, 1] < head.sizes.eyes + 0.03)
     return head.rest(there * np.where(some, 1 + 0.9 * (gap - _FLOATING_M) / there[:, 2], 1.0)[:, None])
+
+
+def _lit(head: HeadView, mask: Bools) -> F64:
+    """Return the linear colours [M, 3] within ``mask`` [H, W], or of the half that is lit by a hard light's side.
+
+    There face and hair are so much brighter than in the other half of the head, which is in shade.
+    """
+    shot = head.shot
+    colours, hair = to_linear(shot.rgb[mask] / 255), np.stack(np.nonzero(mask)[::-1], axis=1) + 0.5
+    face = shot.view.pixels[face_vertices(head.body) & (shot.visibility > _MIN_VISIBILITY)]
+    both = [(light @ _LUMINANCE, head.plane(at)[:, 0]) for light, at in ((colours, hair), (shot.sample(face), face))]
+    for side in (-1, 1):
+        halves = [(light[aside * side > 0], light[aside * side < 0]) for light, aside in both]
+        if all(len(lit) and len(dark) and np.median(lit) > _HARD_LIGHT_RATIO * np.median(dark) for lit, dark in halves):
+            return np.asarray(colours[both[0][1] * side > 0])
+    return np.asarray(colours)
 
 
 def _contrast(head: HeadView, mask: Bools) -> float:

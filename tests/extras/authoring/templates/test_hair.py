@@ -136,6 +136,22 @@ def test_hair_that_a_network_takes_for_a_forehead_or_glasses_is_found_by_its_col
     assert seen.mask[drawn & (up > head.sizes.eyes)].mean() > 0.9
 
 
+def test_a_forehead_in_shade_below_white_hair_is_no_hair() -> None:
+    head, _ = pictured(None)
+    where = head.plane(np.stack(np.mgrid[: head.shot.mask.shape[0], : head.shot.mask.shape[1]][::-1], axis=-1) + 0.5)
+    aside, up = where[..., 0], where[..., 1] - head.sizes.eyes
+    top = head.shot.mask & (up > 0.065)
+    sides = head.shot.mask & (np.abs(aside) > 0.055) & (up > -0.1) & ~top
+    rgb = head.shot.rgb.copy()
+    rgb[head.shot.mask & (aside < -0.02) | sides] = DARK  # the shade, and hair in it
+    rgb[top] = np.median(rgb[face_pixels(head)], axis=0) + 20
+    labels = np.where(head.shot.mask, HeadPart.SKIN, HeadPart.BACKGROUND).astype(np.uint8)
+    labels[top | sides] = HeadPart.HAIR
+    seen = seen_hair(replace(head, shot=replace(head.shot, rgb=rgb)), labels)
+    assert seen is not None and seen.mask[top].mean() > 0.9
+    assert not seen.mask[~top & (np.abs(aside) < 0.05)].any()
+
+
 def face_pixels(head: HeadView) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of the clearly visible face."""
     column, row = head.shot.view.pixels[face_vertices(head.body) & (head.shot.visibility > 0.5)].astype(int).T
@@ -301,6 +317,29 @@ def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
     assert not face.any()
     back = grown[grown[:, 2] < middle[2]]
     assert back[:, 1].min() < middle[1] - 0.25  # it hangs
+
+
+def test_hair_half_in_shade_has_the_colour_of_its_lit_half() -> None:
+    scene, hair = photographed("front"), fitted("short01")[1]
+    shot = hair.head.shot
+    where = hair.head.plane(np.stack(np.mgrid[: shot.mask.shape[0], : shot.mask.shape[1]][::-1], axis=-1) + 0.5)
+
+    def behind(shade: float) -> float:
+        """Return the brightness of unseen hair, with ``shade`` on the left half of face and light hair."""
+        rgb = shot.rgb.copy()
+        rgb[hair.seen.mask] = 220
+        rgb[where[..., 0] < 0] = (rgb[where[..., 0] < 0] * shade).astype(np.uint8)
+        drawn = replace(hair, head=replace(hair.head, shot=replace(shot, rgb=rgb)))
+        even = scatter(scene.mesh, 4000, np.random.default_rng(0))
+        bare = even.avatar(
+            scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), np.random.default_rng(0)
+        )
+        splats = with_template_hair(bare, drawn, scene.light, np.random.default_rng(0)).splats
+        unseen = splats.means[len(bare.splats) :, 2] < hair.head.middle[2] - 0.03
+        return float(np.median(splats.sh[len(bare.splats) :][unseen, 0, 0] * SH_C0 + 0.5))
+
+    assert behind(0.3) > 0.78
+    assert behind(0.6) < 0.76  # soft light: the median of both
 
 
 def test_locks_have_the_contrast_of_the_pictures_locks_not_of_its_light() -> None:
