@@ -52,6 +52,10 @@ _MAX_LOCK_M = 0.03  # from that end
 _FRONT_PLAY_M = 0.006  # hair so far behind the bare body still counts as visible
 _OUTLINE_PLAY_M = 0.012  # a head's sides are some pixels wide
 _HAIR_PLAY_M, _GAP_M = 0.006, 0.02
+_UNDER_BRIM_M = 0.03  # that hair behind goes on under a hat's brim, so that there is no gap
+_MIN_BRIM_M = 0.03  # of a hat's widest place, beyond its lower edge
+_BRIM_PLAY_M = 0.005  # nearer to a brim's edge, splats of hair would show on it
+_NEAR_VERTICES = 16  # of a hat, in a point's direction
 _SKULL_GAP_M, _CLOTH_GAP_M = 0.004, 0.010  # of hair over skin, and over a dressed back
 _NECK_REACH_M = 0.025  # from seen hair: there a neck has its outline
 _FACE_BULGE_M = 0.02  # a face wears nothing: more is hair beside it
@@ -185,8 +189,24 @@ def carved(hair: FittedHair, points: F64) -> Bools:
     )
     stays = inside & (on_hair | ~(front | facing)) & (flat[:, 1] > hair.end + locks)
     if seen.hat is not None:
-        stays &= flat[:, 1] < seen.hat
+        above = flat[:, 1] > seen.hat
+        some = np.flatnonzero(stays & above & (flat[:, 1] < seen.hat + _UNDER_BRIM_M) & (there[:, 2] > head.camera_z))
+        stays &= ~above
+        stays[some] = _under_brim(head, seen.hat, points[some])
     return stays
+
+
+def _under_brim(head: HeadView, rim: float, points: F64) -> Bools:
+    """Return [M] which ``points`` [M, 3] a brim covers: between the widest place and the lower edge of the hat."""
+    hat = head.shot.mesh.vertices[head.skull & (head.plane_of(head.bare)[:, 1] > rim)] - head.middle
+    if len(hat) < _NEAR_VERTICES or not len(points):
+        return np.zeros(len(points), bool)
+    around, at = hat[:, ::2], (points - head.middle)[:, ::2]
+    far, aside = lengths(around), lengths(at)
+    near = cKDTree(around / far[:, None]).query(at / aside[:, None], k=_NEAR_VERTICES)[1]
+    edge = np.take_along_axis(near, hat[near, 1].argmin(axis=1)[:, None], axis=1)[:, 0]
+    wide, narrow = far[near].max(axis=1), far[edge]
+    return np.asarray((aside > narrow) & (aside < wide - _BRIM_PLAY_M) & (np.median(wide - narrow) > _MIN_BRIM_M))
 
 
 def bared(hair: FittedHair, shots: tuple[FittedPicture, ...]) -> tuple[FittedHair, tuple[FittedPicture, ...]]:

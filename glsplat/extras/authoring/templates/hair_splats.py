@@ -131,7 +131,8 @@ def _lit(head: HeadView, mask: Bools) -> F64:
     There face and hair are so much brighter than in the other half of the head, which is in shade.
     """
     shot = head.shot
-    colours, hair = to_linear(shot.rgb[mask] / 255), np.stack(np.nonzero(mask)[::-1], axis=1) + 0.5
+    colours = to_linear(shot.rgb[mask] / 255)
+    hair = np.stack(np.nonzero(mask)[::-1], axis=1).astype(np.float64) + 0.5
     face = shot.view.pixels[face_vertices(head.body) & (shot.visibility > _MIN_VISIBILITY)]
     both = [(light @ _LUMINANCE, head.plane(at)[:, 0]) for light, at in ((colours, hair), (shot.sample(face), face))]
     for side in (-1, 1):

@@ -13,7 +13,15 @@ from glsplat.extras.authoring.fit.offsets import face_vertices
 from glsplat.extras.authoring.networks.head_parts import HeadPart
 from glsplat.extras.authoring.paint.head import back_of_head, ears_of, vertices_of
 from glsplat.extras.authoring.sample.scatter import scatter
-from glsplat.extras.authoring.templates.hair import MIN_AGREEMENT, FittedHair, bared, carved, fit_hair, haired
+from glsplat.extras.authoring.templates.hair import (
+    MIN_AGREEMENT,
+    FittedHair,
+    bared,
+    carved,
+    fit_hair,
+    haired,
+    scattered,
+)
 from glsplat.extras.authoring.templates.hair_mask import SeenHair, seen_hair
 from glsplat.extras.authoring.templates.hair_splats import (
     HAIR_SPLATS,
@@ -294,6 +302,23 @@ def test_long_hair_of_a_tilted_head_ends_where_it_is_seen_to_end_above_the_shoul
         points = hair.mesh.vertices[carved(hair, hair.mesh.vertices)]
         assert hair.head.plane_of(points)[:, 1].min() > hair.end - 0.032
     assert abs(hidden[0] - 0.12) < 0.001 and abs(hidden[1] - 0.03) < 0.01
+
+
+def test_hair_behind_goes_on_under_a_brim_but_not_over_a_cap() -> None:
+    hair = fitted("long01")[1]
+    head, rim = hair.head, hair.head.sizes.eyes + 0.03
+    height = head.plane_of(head.bare)[:, 1]
+    points = scattered(hair.mesh, 20_000, np.random.default_rng(0))[0].at(hair.mesh.vertices)
+    above = head.plane_of(points)[:, 1] - rim
+    kept = []
+    for brim in (0.0, 0.09):
+        wide = 1 + brim / 0.1 * np.interp(height - rim, [0, 0.02, 0.05], [0, 1, 0])
+        vertices = head.middle + np.where(head.skull, wide, 1)[:, None] ** [1, 0, 1] * (head.bare - head.middle)
+        view = replace(head, shot=replace(head.shot, mesh=replace(head.shot.mesh, vertices=vertices)))
+        stays = carved(replace(hair, head=view, seen=replace(hair.seen, hat=rim)), points)
+        assert not stays[above > 0.031].any()
+        kept.append(points[stays & (above > 0)])
+    assert not len(kept[0]) and len(kept[1]) > 100 and kept[1][:, 2].max() < head.middle[2] + 0.02
 
 
 def test_hair_has_its_colour_its_splats_and_leaves_the_face_alone() -> None:
