@@ -175,9 +175,9 @@ def shoe_painter(body: Body, shot: FittedPicture, light: Lamp, mesh: RiggedMesh)
     linear, visibility, shade = painter.sample(sites)
     if (visibility > 0.5).any():
         told = replace(painter, usual=np.median(np.sqrt(np.maximum(linear[visibility > 0.5], 0)), axis=0))
-        sure = told.sample(sites)[1]
-        if (sure > 0.5).sum() > (1 - _MAX_FLOOR) * (visibility > 0.5).sum():  # more is a part of the shoes
-            painter, visibility = told, sure
+        without = told.sample(sites)[1]
+        if (without > 0.5).sum() > (1 - _MAX_FLOOR) * (visibility > 0.5).sum():  # more is a part of the shoes
+            painter, visibility = told, without
     plain, place = linear / shade[:, None], sites.at(rest)
     log = np.log(to_linear(shoes.sample(uv)[:, :3]) @ (0.2126, 0.7152, 0.0722) + 0.004)
     sure = (visibility > 0.5) & (place[:, 1] < _RIM_M)

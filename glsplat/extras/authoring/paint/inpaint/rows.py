@@ -26,6 +26,7 @@ SAME_COLOUR_DISTANCE = 0.15
 """Colours nearer to each other, in square roots of linear light, count as one."""
 
 _MIN_ROW_FRACTION = 0.1  # of the median row's weight; a lighter row is the edge of an arm before the trunk
+_THIN_FACTOR = 0.5  # of that fraction, for legs: ankles are half as wide
 _GAP_END_ROWS = 15  # beside hidden rows: their median colour is continued
 _KERNEL_SIGMA, _SHIFT_STEPS = 0.08, 6  # of mean shift
 _MIXED_TOLERANCE, _MIXED_ROWS = 0.139, 12  # of a row of several colours; between the rows it is compared with
@@ -65,8 +66,8 @@ def rows_of(
 ) -> Rows | None:
     """Return the rows between ``ends`` (metres) from samples ``at`` [K] metres; None if none has enough of them.
 
-    A row takes samples within ``reach`` metres. Rows with few samples take the colours around them, but those of a
-    limb that gets ``thin``, as an ankle, may have fewer than others.
+    A row takes samples within ``reach`` metres. Rows with few samples take the colours around them, but a limb
+    that gets ``thin``, as a leg does, may have half as many.
     """
     count = max(2, int(np.ceil((ends[1] - ends[0]) / ROW_M)) + 1)
     order = np.argsort(at, kind="stable")
@@ -78,7 +79,8 @@ def rows_of(
     enough = seen >= MIN_ROW_WEIGHT
     if not enough.any():
         return None
-    known = enough & (thin | (seen >= _MIN_ROW_FRACTION * np.median(seen[enough])))
+    fraction = _MIN_ROW_FRACTION * (_THIN_FACTOR if thin else 1.0)
+    known = enough & (seen >= fraction * np.median(seen[enough]))
     colour, tolerance = np.zeros((count, 3)), np.zeros(count)
     for row in np.flatnonzero(known):
         some = slice(first[row], last[row])

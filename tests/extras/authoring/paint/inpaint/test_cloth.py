@@ -155,7 +155,7 @@ def test_hidden_rows_take_the_shirt_not_the_edge_of_an_arm_or_a_print() -> None:
 def test_a_sock_on_a_thin_ankle_keeps_its_rows() -> None:
     at = np.concatenate([np.linspace(0.0, 0.085, 850), np.linspace(0.12, 0.6, 4800)])
     sock, skin = np.full(3, 0.1), np.array([0.47, 0.4, 0.33])
-    look, weight = np.where(at[:, None] < 0.1, sock, skin), np.where(at < 0.1, 0.05, 1.0)
+    look, weight = np.where(at[:, None] < 0.1, sock, skin), np.where(at < 0.1, 0.08, 1.0)
     for thin, ankle in ((True, sock), (False, skin)):
         rows = rows_of(1, (0.0, 0.6), at, look, weight, 0.0125, thin)
         assert rows is not None and np.allclose(rows.colour[:8], ankle, atol=0.01)
