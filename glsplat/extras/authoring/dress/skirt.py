@@ -17,6 +17,7 @@ from glsplat.arrays import F64
 from glsplat.extras.authoring.body.open_body import Body
 from glsplat.extras.authoring.body.segments import hand_weights, trunk_half_width, trunk_vertices
 from glsplat.extras.authoring.dress.fitted_mesh import Dressed, dressed_mesh
+from glsplat.extras.authoring.dress.seat import with_bridged_seat
 from glsplat.extras.authoring.fit.body_fit import BodyFit, FittedView
 from glsplat.extras.authoring.fit.kinematics import fully_posed, projected
 from glsplat.extras.authoring.fit.offsets import face_vertices, offset_directions
@@ -174,6 +175,11 @@ def dress(body: Body, fit: BodyFit, views: Sequence[View], rgb: NDArray[np.uint8
     ``rgb`` [H, W, 3] is the front's picture.
     """
     dressed = with_bare_hands(body, fit, views)
+    rest = with_bridged_seat(body, dressed.mesh)
+    mesh, changed = replace(dressed.mesh, vertices=rest), (rest != dressed.mesh.vertices).any(axis=1)
+    dressed = Dressed(
+        mesh, tuple(_moved(mesh, view, old, changed) for view, old in zip(views, dressed.views, strict=True))
+    )
     hem = hem_of(body, fit, dressed.mesh, views[0])
     if hem is not None:  # it hangs before the legs, so it is higher than where they meet its row
         legs, where = _leg(body, "left") | _leg(body, "right"), dressed.views[0].vertices

@@ -355,13 +355,9 @@ def test_hair_half_in_shade_has_the_colour_of_its_lit_half() -> None:
         rgb[hair.seen.mask] = 220
         rgb[where[..., 0] < 0] = (rgb[where[..., 0] < 0] * shade).astype(np.uint8)
         drawn = replace(hair, head=replace(hair.head, shot=replace(shot, rgb=rgb)))
-        even = scatter(scene.mesh, 4000, np.random.default_rng(0))
-        bare = even.avatar(
-            scene.mesh, np.full((len(even.density), 3), 0.6), np.zeros(len(even.density)), np.random.default_rng(0)
-        )
-        splats = with_template_hair(bare, drawn, scene.light, np.random.default_rng(0)).splats
-        unseen = splats.means[len(bare.splats) :, 2] < hair.head.middle[2] - 0.03
-        return float(np.median(splats.sh[len(bare.splats) :][unseen, 0, 0] * SH_C0 + 0.5))
+        splats = hair_splats(drawn, scene.light, 0).avatar.splats
+        unseen = splats.means[:, 2] < hair.head.middle[2] - 0.03
+        return float(np.median(splats.sh[unseen, 0, 0] * SH_C0 + 0.5))
 
     assert behind(0.3) > 0.78
     assert behind(0.6) < 0.76  # soft light: the median of both
