@@ -212,8 +212,8 @@ def _with_scalp(avatar: Avatar, hair: FittedHair, points: F64, colour: F64) -> A
     head, shot = hair.head, hair.head.shot
     body, rest = head.body, shot.mesh.vertices
     means = avatar.splats.means.astype(np.float64)
-    near = cKDTree(rest).query(means)[1]
-    tree = cKDTree(points)
+    near = cKDTree(rest).query(means, workers=-1)[1]
+    tree = cKDTree(points[:: max(1, len(points) // HAIR_SPLATS)])
     on_head = body.skin & np.isin(body.part, [JOINT_NAMES.index(name) for name in ("head", "neck", "jaw")])
     mine = np.flatnonzero(on_head[near])
     vertex = near[mine]

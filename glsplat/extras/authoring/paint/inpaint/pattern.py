@@ -43,7 +43,7 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, visi
     same = np.abs(number[:, None] - number) <= _GARMENT_ROWS
     same &= np.linalg.norm(colour[:, None] - colour, axis=2) < _GARMENT_CONTRAST
     around, tested = np.zeros(count, bool), np.zeros(count, bool)
-    for index in range(count):
+    for index in range(0, count, 2):  # its neighbours' garment is nearly the same
         near = slice(starts[first[index]], starts[last[index]])
         samples = near.start + np.flatnonzero(same[index][row[near]])
         parts = [samples[part[samples] == place] for place in range(_PARTS)]
@@ -58,6 +58,7 @@ def goes_around(colour: F64, row: NDArray[np.intp], across: F64, look: F64, visi
         beside = [other[k] for k in other if k != _PARTS // 2]
         if tested[index] and min(beside) > _MIN_OTHER_FRACTION and all(end in other for end in ends):
             around[index] = min(other[end] for end in ends) > _MIN_END_FACTOR * np.mean(list(other.values()))
+    around[1::2], tested[1::2] = around[: count - 1 : 2], tested[: count - 1 : 2]
     cloth = same.astype(float)
     # by a majority of a garment's visible rows
     return binary_opening(cloth @ around > 0.5 * (cloth @ tested), np.ones(_MIN_PATTERN_ROWS, bool))
