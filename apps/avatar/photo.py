@@ -93,7 +93,7 @@ def add_making(parser: argparse.ArgumentParser, note: str = "") -> None:
     parser.add_argument("--height", type=positive, help="the person's height in metres, without shoes (1.74)")
     parser.add_argument("--splats", type=natural, help=f"{note}number of Gaussians (default {_DEFAULT.splats})")
     parser.add_argument("--seed", type=natural, help=f"{note}same seed, same bytes (default {_DEFAULT.seed})")
-    steps = f"of fitting all parameters of the splats (default {_DEFAULT.steps}, 15 s for a photograph); 0: none"
+    steps = f"of fitting all parameters of the splats (default {_DEFAULT.steps}, 12 s for a photograph); 0: none"
     parser.add_argument("--steps", type=natural, help=note + steps)
     texture = f"with --as mesh: texels a side of the texture (default {_DEFAULT.texture})"
     parser.add_argument("--texture", type=natural, help=texture)
