@@ -19,7 +19,7 @@ from glsplat.io.cores import cores
 _OPENBLAS_NAMES = "scipy_openblas_{}_num_threads64_", "scipy_openblas_{}_num_threads", "openblas_{}_num_threads"
 
 # Options of malloc.h: M_ARENA_MAX, M_MMAP_THRESHOLD (32 MiB is the largest allowed) and M_TRIM_THRESHOLD, in bytes.
-_MALLOC_OPTIONS = {-8: 2, -3: 32 << 20, -1: 256 << 20}
+_MALLOC_OPTIONS = {-8: max(cores(), 2), -3: 32 << 20, -1: 256 << 20}
 
 _lock = Lock()
 _users: list[None] = []  # one entry for each open one_blas_thread()
@@ -60,11 +60,11 @@ def run_in_background(work: Callable[[], T]) -> Callable[[], T]:
 
 
 def share_heap() -> None:
-    """Make all threads of this process share two glibc heaps that keep freed memory; other C libraries are unchanged.
+    """Make this process have one glibc heap a core, which keeps freed memory; other C libraries are unchanged.
 
-    One heap a thread takes a quarter more memory for an avatar, because each keeps what its arrays have freed; with
-    one heap the threads of a k-d tree wait for each other. Keeping freed arrays of up to 32 MiB saves the kernel from
-    clearing their pages again.
+    More take a quarter more memory for an avatar, because each keeps what its arrays have freed; with one for all, the
+    threads of a k-d tree wait for each other. Keeping freed arrays of up to 32 MiB saves the kernel from clearing their
+    pages again.
     """
     with suppress(AttributeError, OSError, TypeError):  # other C libraries, and Windows
         library = ctypes.CDLL(None)
