@@ -52,7 +52,7 @@ CLAIMS: list[tuple[str, str, Callable[[], int]]] = [
     ("docs/performance.md", r"surface,\s+takes (\d+)\.", lambda: bytes_of(person("anna"))),
     ("docs/frame.md", r"in two views takes (\d+) bytes", static_bytes),
     ("docs/gallery.md", r"^(\w+) programs of fewer", lambda: len(list((ROOT / "docs/examples").glob("*.py")))),
-    ("docs/photo.md", r"steps of the fit \((\d+), about 15 s\)", lambda: Options().steps),
+    ("docs/photo.md", r"steps of the fit \((\d+), about 12 s\)", lambda: Options().steps),
     ("docs/photo.md", r"`--splats N`, `--seed N` \| (\d+) and 0", lambda: Options().splats),
     ("docs/evaluation.md", r"fitted for (\d+) steps \(60 without", lambda: own_methods._STEPS),
     ("docs/faces.md", r"## The (\d+) shapes", lambda: len(ARKIT)),
