@@ -26,6 +26,7 @@ from glsplat.extras.authoring.paint.inpaint.rows import (
     ROW_M,
     SAME_COLOUR_DISTANCE,
     Rows,
+    dark_lines,
     in_one_tone,
     main_colour,
     rows_of,
@@ -92,6 +93,7 @@ class Cloth:
     skin: F64 | None  # [3] square root of the face's colour
     armpit: float  # metres of height
     collar: float  # the same, of a collar's edge behind
+    lines: F64  # [R] of the trunk's rows, see ``dark_lines``; empty without a trunk
 
     def region(self, points: SurfacePoints) -> Ints:
         """Return [M] the regions of points; negative: none."""
@@ -242,6 +244,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
     if trunk is not None and skin is not None:
         trunk = _cover_shoulders(trunk, where[here], look[here], visibility[here], skin, armpit)
     rows[TRUNK] = None if trunk is None else with_pattern_above(trunk, armpit, _CHEST_M)
+    lines = np.zeros(0) if trunk is None else dark_lines(trunk, where[here, 1], where[here, 0], look[here])
     for number in SLEEVES:
         sleeve, trunk = rows[number], rows[TRUNK]
         if sleeve is not None and trunk is not None and skin is not None:
@@ -251,7 +254,7 @@ def cloth_of(body: Body, shot: FittedPicture, points: SurfacePoints, sample: Vie
         for number, each in zip(seen, in_one_tone(list(seen.values())), strict=True):
             rows[number] = each
     palettes = [_palette(row, look[deep & (mine == number)]) for number, row in enumerate(rows)]
-    return Cloth(rest, shares, tuple(rows), tuple(palettes), skin, armpit, float(neck_joint[1]) + _COLLAR_M)
+    return Cloth(rest, shares, tuple(rows), tuple(palettes), skin, armpit, float(neck_joint[1]) + _COLLAR_M, lines)
 
 
 def _palette(rows: Rows | None, look: F64) -> cKDTree | None:

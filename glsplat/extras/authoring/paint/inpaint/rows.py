@@ -37,6 +37,8 @@ _SOFT_ROWS = 9  # over which the colours of rows without an edge in the picture 
 _NECK_SHADING = 0.4  # fraction by which a bare neck may be brighter or darker than the face
 _MIN_SANDAL_SKIN_FRACTION, _SOLE_M = 0.25, 0.025  # of a row of a foot that is skin; height of the sole
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
+_BESIDE_LINE_ROWS = (-3, -2, 2, 3)  # with which a row is compared to find a line
+_MIN_LINE_SAMPLES, _MIN_LINE_STRIPS = 4, 5  # of a strip in each row, and of a row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,6 +217,28 @@ def without_unseen_edges(rows: Rows, at: F64, across: F64, look: F64) -> Rows:
     away = np.abs(np.arange(count)[:, None] - np.flatnonzero(soft)).min(axis=1)
     mixed = np.where((away <= _SOFT_ROWS + _EDGE_ROWS)[:, None], smooth, colour)
     return replace(rows, colour=mixed, outer=np.where(rows.outer == colour, mixed, rows.outer))
+
+
+def dark_lines(rows: Rows, at: F64, across: F64, look: F64) -> F64:
+    """Return [R] how much darker each row is than those beside it, in square roots of linear light.
+
+    That of the median strip counts: belts and hems cross all of them. 0 for rows with too few samples, which are
+    [K] of colour ``look`` [K, 3], ``at`` metres along the limb and ``across`` it.
+    """
+    lines, count = np.zeros(len(rows.colour)), len(rows.colour)
+    if not len(at):
+        return lines
+    strip = np.floor((across - across.min()) / _STRIP_M).astype(np.intp)
+    width = int(strip.max()) + 1
+    cell = rows.index(at) * width + strip
+    samples = np.bincount(cell, minlength=count * width)
+    light = np.bincount(cell, look.mean(axis=1), minlength=count * width) / np.maximum(samples, 1)
+    light = np.where(samples >= _MIN_LINE_SAMPLES, light, np.nan).reshape(count, width)
+    for row in range(-_BESIDE_LINE_ROWS[0], count - _BESIDE_LINE_ROWS[-1]):
+        darker = light[[row + away for away in _BESIDE_LINE_ROWS]].mean(axis=0) - light[row]
+        darker = darker[np.isfinite(darker)]
+        lines[row] = np.median(darker) if len(darker) >= _MIN_LINE_STRIPS else 0.0
+    return lines
 
 
 def in_one_tone(parts: Sequence[Rows]) -> list[Rows]:

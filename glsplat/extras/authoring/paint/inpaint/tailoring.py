@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from glsplat.extras.authoring.geometry.surface_points import SurfacePoints
 from glsplat.extras.authoring.paint.inpaint.cloth import LEGS, NECK, SLEEVES, TRUNK, Cloth
-from glsplat.extras.authoring.paint.inpaint.rows import ROW_M, SAME_COLOUR_DISTANCE
+from glsplat.extras.authoring.paint.inpaint.rows import ROW_M, SAME_COLOUR_DISTANCE, Rows
 from glsplat.extras.authoring.paint.ramps import ramp
 from glsplat.extras.authoring.paint.skin_tone import likeness
 from glsplat.meshes import RiggedMesh, vertex_normals
@@ -22,12 +22,12 @@ from glsplat.skinning.smplx import JOINT_NAMES
 F64 = NDArray[np.float64]
 
 # standard deviations in metres and depths of lines: a seam, and the edge and the stitches of a hem
-_SEAM, _EDGE, _STITCHES = (0.006, 0.5), (0.009, 0.6), (0.006, 0.2)
+_SEAM, _EDGE, _STITCHES = (0.006, 0.3), (0.009, 0.5), (0.006, 0.2)
 _LEGS_SHADE = 0.02, 0.7  # the same, of the shade on cloth where a leg meets the other one
 _STITCHES_M = 0.026  # from the edge of a hem
 _ARMHOLE_M, _ARMPIT_M = 0.015, 0.11  # inside the shoulder joints, and below them; trousers' seam ends below the hips
-_MIN_SHIRT_M, _WAIST_M = 0.1, 0.16  # below the armpits, above the hips: highest and lowest hem of a shirt
-_MIN_WAIST_CHANGE = 0.03  # of colour, where a shirt of the trousers' colour ends
+_MIN_SHIRT_M, _WAIST_M = 0.1, 0.18  # below the armpits, above the hips: highest and lowest hem of a shirt
+_MIN_WAIST_LINE, _MIN_WAIST_CHANGE = 0.025, 0.03  # square roots of light: a belt's darkness; a change of colour
 _BEHIND = -0.1, -0.5  # z of the normals from which on cloth counts as behind
 _FULL_LINE = 0.3  # depth of lines and wrinkles that get as many splats as a picture's detail
 
@@ -84,17 +84,24 @@ def tailoring_of(mesh: RiggedMesh, cloth: Cloth, trousers: bool) -> Tailoring:
     trunk, neck = cloth.rows[TRUNK], cloth.rows[NECK]
     if trunk is not None:
         low = hems[TRUNK][hems[TRUNK] < cloth.armpit - _MIN_SHIRT_M]
-        if not len(low) and trousers:  # a shirt of the trousers' colour ends where this changes most, or at the hips
-            some = 2 + np.flatnonzero((trunk.places[2:-2] > waist) & (trunk.places[2:-2] < waist + _WAIST_M))
-            change = lengths(trunk.colour[some + 2] - trunk.colour[some - 2])
-            clear = change.max(initial=0) > _MIN_WAIST_CHANGE
-            low = trunk.places[some[[change.argmax()]]] if clear else np.array([waist])
+        if not len(low) and trousers:
+            low = np.array([_waist(trunk, cloth.lines, waist)])
             hems[TRUNK] = np.append(hems[TRUNK], low)
         waist = float(low.min()) if len(low) else waist
         if neck is not None and lengths(neck.colour[:1] - trunk.colour[-1:])[0] > SAME_COLOUR_DISTANCE:
             hems[TRUNK] = np.append(hems[TRUNK][hems[TRUNK] < cloth.armpit], cloth.collar)
     behind = ramp(vertex_normals(mesh.vertices, mesh.faces)[:, 2], *_BEHIND)
     return Tailoring(mesh, behind, cloth, hems, waist, trousers)
+
+
+def _waist(trunk: Rows, lines: F64, hips: float) -> float:
+    """Return the height in metres where a shirt of the trousers' colour ends: at a belt or hem, or at the ``hips``."""
+    some = 2 + np.flatnonzero((trunk.places[2:-2] > hips) & (trunk.places[2:-2] < hips + _WAIST_M))
+    change = lengths(trunk.colour[some + 2] - trunk.colour[some - 2])
+    for value, least in ((lines[some], _MIN_WAIST_LINE), (change, _MIN_WAIST_CHANGE)):
+        if value.max(initial=0) > least:
+            return float(trunk.places[some[value.argmax()]])
+    return hips
 
 
 def _line(away: F64, width: float, deep: float) -> F64:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from glsplat.extras.authoring.paint.inpaint.cloth import LEGS, TRUNK
+from glsplat.extras.authoring.paint.inpaint.rows import dark_lines
+from glsplat.extras.authoring.paint.inpaint.tailoring import tailoring_of
 from glsplat.extras.authoring.paint.painter import painter_of
 from glsplat.extras.authoring.paint.view_sample import FittedPicture
 from glsplat.extras.authoring.sample.scatter import even_points
@@ -32,6 +34,29 @@ def test_hems_seams_and_wrinkles_are_on_the_cloth_of_the_back() -> None:
     wrinkled, fine = tailoring.at(points, np.full(len(points.corners), 0.1))
     assert np.abs(np.log(wrinkled / factor)[knees] - 0.1).max() < 0.01
     assert (wrinkled[worn == 0] == 1).all() and (fine[knees] > detail[knees]).all()
+
+
+def test_a_shirt_of_the_trousers_colour_ends_at_a_belt_or_at_the_hips() -> None:
+    """A line in two strips of twelve, as of lettering, is no belt."""
+    scene = photographed("front")
+    points = even_points(scene.mesh, 30_000)
+    cloth = painter_of(scene.body, scene.shots, points).cloth
+    hips, rng = scene.mesh.skeleton.joints[JOINT_NAMES.index("left_hip"), 1], np.random.default_rng(0)
+    trunk = cloth.rows[TRUNK]
+    assert trunk is not None
+    grey = np.full_like(trunk.colour, 0.5)
+    plain = replace(trunk, colour=grey, outer=grey)
+    at, across = rng.uniform(trunk.places[0], trunk.places[-1], 40_000), rng.uniform(-0.18, 0.18, 40_000)
+
+    def waist(half_width: float) -> float:
+        dark = (np.abs(at - hips - 0.1) < 0.01) & (np.abs(across) < half_width)
+        look = np.repeat(np.where(dark, 0.42, 0.5)[:, None], 3, axis=1)
+        lines = dark_lines(plain, at, across, look)
+        return tailoring_of(scene.mesh, replace(cloth, rows=(plain, *cloth.rows[1:]), lines=lines), True).waist
+
+    assert abs(waist(0.2) - hips - 0.1) < 0.011
+    assert waist(0.03) == hips
+    assert (dark_lines(plain, np.zeros(0), np.zeros(0), np.zeros((0, 3))) == 0).all()
 
 
 def test_legs_that_touch_have_a_shade_between_them_and_skirts_have_none() -> None:
