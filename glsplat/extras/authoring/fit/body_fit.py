@@ -234,7 +234,8 @@ def _rim(body: Body, posed: PosedBody, view: View, moved: F64 | None) -> Rim:
     if moved is not None:  # before arms are in place, sleeves would make the trunk stout
         shown = view.mask & (from_arms > _ARM_EDGE_FRACTION * view.figure)
         gaps[by_arm] = lengths_inside(shown, rim.pixels[by_arm], rim.normals[by_arm], reach)
-    found = np.isfinite(gaps)
+    ends = rim.pixels + rim.normals * gaps[:, None]
+    found = ((ends >= 1) & (ends <= np.subtract(view.mask.shape[::-1], 1))).all(axis=1)  # where the picture ends
     if moved is not None:  # ignore edges of a held ball or bag
         hand_reach = _HAND_REACH_FRACTION * view.figure
         from_hands = distance_to_arms(body, pixels, view.mask.shape, hand_weights(body) > 0.5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ from glsplat.extras.authoring.fit.offsets import offset_directions
 from glsplat.extras.authoring.fit.solver import BodySolver
 from glsplat.extras.authoring.fit.view import View
 from glsplat.skinning.smplx import JOINT_NAMES
-from tests.extras.authoring.made_up import FOCAL, SIZE, made, slope_error
+from tests.extras.authoring.made_up import FOCAL, SIZE, made, posed_view, slope_error
 
 
 @lru_cache(maxsize=1)
@@ -51,6 +52,17 @@ def test_cloth_of_one_outline_stands_off_to_the_sides_more_than_before_and_behin
     assert ahead.any() and aside.any() and (thin == 0.01).all()
     assert np.median(thick[ahead]) < 0.06 < 0.065 < np.median(thick[aside]) < 0.1
     assert (thick[body.part == JOINT_NAMES.index("left_wrist")] == 0.1).all()
+
+
+def test_the_end_of_a_picture_is_no_outline() -> None:
+    """Soles are 2 cm thicker than those of the bare body, and the picture ends within them."""
+    view, posed, _ = posed_view()
+    below = len(view.mask) - int(np.flatnonzero(view.mask.any(axis=1))[-1]) - 3  # rows, cut off above as well
+    mask = cv2.dilate(view.mask.astype(np.uint8), np.ones((9, 9), np.uint8))[below:-below] > 0
+    cut = View(mask, view.landmarks - [0, below], view.visibility, FOCAL)
+    rim = body_fit._rim(open_body(), posed, cut, None)
+    ends = rim.pixels + rim.normals * rim.gaps[:, None]
+    assert len(ends) > 200 and ends[:, 1].max() < len(mask) - 1
 
 
 def test_the_pose_that_fits_best_with_clothes_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
