@@ -35,6 +35,7 @@ _EDGE_ROWS, _STRIP_M = 4, 0.03  # compared on each side of an edge; strips along
 _MIN_STRIP_SAMPLES, _MIN_EDGE_SHARE = 6, 0.5  # of the rows' difference, for the median strip
 _SOFT_ROWS = 9  # over which the colours of rows without an edge in the picture turn
 _NECK_SHADING = 0.4  # fraction by which a bare neck may be brighter or darker than the face
+_CHIN_SHADOW, _SAME_HUE_DISTANCE = 0.65, 0.01  # fraction by which a throat may be darker, of the face's very hue
 _MIN_SANDAL_SKIN_FRACTION, _SOLE_M = 0.25, 0.025  # of a row of a foot that is skin; height of the sole
 _TONE_M, _TONE_DISTANCE = 0.12, 0.05  # between rows whose colours become one, and between these but for their light
 _BESIDE_LINE_ROWS = (-3, -2, 2, 3)  # with which a row is compared to find a line
@@ -154,6 +155,8 @@ def with_bare_neck(rows: Rows, skin: F64) -> Rows:
     from_skin = unlike(colour, skin[None], _NECK_SHADING)
     nearest, light = int(from_skin.argmin()), lengths(colour)
     bare = (from_skin < from_skin[nearest] + MIN_TOLERANCE) & (light > (1 - _NECK_SHADING) * light[nearest])
+    hue = unlike(colour, colour[nearest : nearest + 1], _CHIN_SHADOW)
+    bare |= (hue < _SAME_HUE_DISTANCE) & (light > (1 - _CHIN_SHADOW) * light[nearest])
     first = int(bare.argmax())
     colour[first:], tolerance[first:] = colour[nearest], tolerance[nearest]
     return replace(rows, colour=colour, outer=colour, tolerance=tolerance)

@@ -173,6 +173,17 @@ def test_a_neck_is_bare_above_its_lowest_skin_and_covered_below() -> None:
         assert np.array_equal(bare[:cloth], colour[:cloth])
 
 
+def test_a_throat_in_the_shadow_of_the_chin_is_bare_and_a_dark_collar_is_not() -> None:
+    """A lock of hair lies across both."""
+    skin, hair, flat = np.array([0.7, 0.51, 0.44]), np.array([0.1, 0.05, 0.05]), np.zeros(14)
+    for below, bare in ((0.42 * skin, True), (np.array([0.3, 0.25, 0.27]), False)):
+        colour = np.tile(skin, (14, 1))
+        colour[:4], colour[4] = below, hair
+        rows = with_bare_neck(Rows(1, 1.5, colour, flat, colour, flat, flat > 0), skin)
+        assert np.allclose(rows.colour[5:], skin)
+        assert np.allclose(rows.colour[:5], skin if bare else colour[:5])
+
+
 def test_a_sandal_has_a_sole_and_straps_in_front_only() -> None:
     skin, leather = np.array([0.6, 0.5, 0.4]), np.array([0.2, 0.15, 0.1])
     at = np.linspace(0, 0.14, 1400)
