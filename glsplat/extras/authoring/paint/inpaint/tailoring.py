@@ -22,7 +22,7 @@ from glsplat.skinning.smplx import JOINT_NAMES
 F64 = NDArray[np.float64]
 
 # standard deviations in metres and depths of lines: a seam, and the edge and the stitches of a hem
-_SEAM, _EDGE, _STITCHES = (0.006, 0.3), (0.009, 0.5), (0.006, 0.2)
+_SEAM, _EDGE, _STITCHES = (0.006, 0.3), (0.009, 0.6), (0.006, 0.2)
 _LEGS_SHADE = 0.02, 0.7  # the same, of the shade on cloth where a leg meets the other one
 _STITCHES_M = 0.026  # from the edge of a hem
 _ARMHOLE_M, _ARMPIT_M = 0.015, 0.11  # inside the shoulder joints, and below them; trousers' seam ends below the hips
